@@ -119,7 +119,8 @@ def same(ours, theirs):
     if isinstance(theirs, (list, np.ndarray)):
         return len(ours) == len(theirs) and all(map(same, ours, theirs))
     if isinstance(theirs, (float, np.floating)):
-        return float(ours) == float(theirs) or math.isnan(float(ours))
+        # No number is equal to what is none; both must be none.
+        return float(ours) == float(theirs) or (math.isnan(float(ours)) and math.isnan(float(theirs)))
     if isinstance(theirs, (int, np.integer)) and not isinstance(theirs, bool) and theirs < 0 <= ours:
         return ours == int(theirs) + 256
     return ours == theirs

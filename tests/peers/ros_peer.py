@@ -9,7 +9,8 @@
 A robot stands at X, Y of the frame map, and its odometry counts from the place where it was started: the frame odom lies
 at 100, 50 of map, turned by a quarter. ODOM is one of
     tf        transforms of map to odom on /NAME/tf, with frames without prefix (the default)
-    static    the same once, on /NAME/tf_static, kept by the publisher for those that come late
+    static    the same once, on /NAME/tf_static, kept by the publisher for those that come late; and its superior, the second of its
+              pair, in the same way on /NAME/superior
     none      no transforms
     humble    as tf, with keys of Humble, which knows no hashes of types
     bare      as tf, without the attachment
@@ -95,16 +96,25 @@ class Robot:
             self.tf = publisher(topic, "tf2_msgs/msg/TFMessage", port, mode, node_name=f"localisation_{name}")
 
     def keep(self, port):
-        """One message on tf_static, kept by an advanced publisher as rmw_zenoh has it for transient-local."""
-        topic = "/tf_static" if self.shared else f"/{self.name}/tf_static"
-        plain = publisher(topic, "tf2_msgs/msg/TFMessage", port, node_name=f"static_{self.name}")
+        tf_static = "/tf_static" if self.shared else f"/{self.name}/tf_static"
+        self.kept = [
+            self.keep_one(port, tf_static, "tf2_msgs/msg/TFMessage", self.tf_message),
+            self.keep_one(port, f"/{self.name}/superior", "std_msgs/msg/String", self.superior),
+        ]
+
+    def keep_one(self, port, topic, name, make):
+        """One message, kept by an advanced publisher as rmw_zenoh has it for transient-local."""
+        plain = publisher(topic, name, port, node_name=f"static_{self.name}")
         cache = zenoh.ext.CacheConfig(max_samples=1)
-        self.kept = zenoh.ext.declare_advanced_publisher(
+        kept = zenoh.ext.declare_advanced_publisher(
             self.session.session, plain.keyexpr, cache=cache, publisher_detection=True
         )
-        payload = self.tf_message()
-        self.kept.put(payload, attachment=plain._create_attachment(1, time.time_ns()))
-        self.plain = plain
+        kept.put(make(), attachment=plain._create_attachment(1, time.time_ns()))
+        return plain, kept
+
+    def superior(self):
+        message = self.session.store.types["std_msgs/msg/String"](data=f"{self.name[0]}2")
+        return bytes(self.session.store.serialize_cdr(message, "std_msgs/msg/String"))
 
     def tf_message(self):
         types = self.session.store.types

@@ -24,6 +24,9 @@ pub const OPERATOR: &str = "operator.operator";
 /// The viewer of every fleet of the tests, which may read everything and change nothing.
 pub const VIEWER: &str = "viewer.wall";
 
+/// The bridge to robots of ROS of every fleet of the tests.
+pub const BRIDGE: &str = "bridge.ros2";
+
 /// A member that no test counts on, for messages that exceed its rights.
 pub const STRANGER: &str = "stranger";
 
@@ -94,8 +97,8 @@ fn deploy(arguments: &[&str]) -> anyhow::Result<()> {
 }
 
 impl Access {
-    /// Makes identities in a folder: of the services, of these robots, of [`OPERATOR`] and of the robot
-    /// [`STRANGER`].
+    /// Makes identities in a folder: of the services, of these robots, of [`OPERATOR`], of [`BRIDGE`] and of the
+    /// robot [`STRANGER`].
     ///
     /// # Errors
     /// If `muster deploy` is not built or refuses.
@@ -108,7 +111,8 @@ impl Access {
         let file = folder.join("fleet.toml");
         let names: Vec<&str> = robots.iter().map(String::as_str).chain([STRANGER]).collect();
         let content = format!(
-            "fleet = \"{fleet}\"\nrobots = {names:?}\noperators = [\"operator\"]\nviewers = [\"wall\"]\n[[routers]]\n\
+            "fleet = \"{fleet}\"\nrobots = {names:?}\noperators = [\"operator\"]\nviewers = [\"wall\"]\n\
+             bridges = [\"ros2\"]\n[[routers]]\n\
              name = \"base\"\naddresses = [\"127.0.0.1\"]\nport = {port}\n"
         );
         std::fs::write(&file, content)?;

@@ -5,7 +5,7 @@
 //! stops programs; [`cluster`] is a router with the four services, each of which can be killed alone;
 //! [`hosts`] puts them on three hosts and breaks the links between; [`manager`] is what they report
 //! to a service manager; [`process_stats`] is what they take; [`neighbours`] keep the processors busy;
-//! [`latency`] measures the way from a pose to a team.
+//! [`latency`] measures the way from a pose to a team, [`ros_load`] plays fleets of ROS 2.
 //!
 //! And the [`simulation`]: the cores of all services in one thread, on a virtual bus, with seeded
 //! faults.
@@ -20,5 +20,6 @@ pub mod neighbours;
 pub mod process;
 pub mod process_stats;
 pub mod relay;
+pub mod ros_load;
 pub mod simulation;
 pub mod soak;

@@ -198,7 +198,10 @@ fn the_containers_run_what_is_built() {
     let compose = compose();
     let containers = compose["services"].as_object().unwrap();
     let names: BTreeSet<_> = containers.keys().map(String::as_str).collect();
-    assert_eq!(names, SERVICES.into_iter().chain(["router", "console", "foxglove"]).collect());
+    assert_eq!(
+        names,
+        SERVICES.into_iter().chain(["router", "console", "foxglove", "ros2"]).collect()
+    );
     let file = read("Containerfile");
     let build = read("build");
     let (_, built) = build.split_once("programs=(").unwrap();

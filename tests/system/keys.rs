@@ -30,6 +30,7 @@ fn every_key() -> Vec<Key> {
         Key::Schema,
         Key::History(InstanceId::new("host-1").unwrap()),
         Key::HistoryState(InstanceId::new("host-1").unwrap()),
+        Key::Bridge(InstanceId::new("host-1").unwrap()),
         Key::Proposal(OperatorId::new("alice").unwrap(), ProposalId::new("p1").unwrap()),
     ];
     for service in ServiceName::ALL {
@@ -64,6 +65,7 @@ fn every_key_and_pattern_is_canonical() {
         Pattern::ServiceTokens,
         Pattern::Histories,
         Pattern::HistoryStates,
+        Pattern::Bridges,
         Pattern::InstanceTokens(ServiceName::Ingest),
         Pattern::Statuses,
         Pattern::Everything,

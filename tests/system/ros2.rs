@@ -6,9 +6,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use muster_tests::access::{BRIDGE, Security};
 use muster_tests::client::{division, is_event_of_robots, robots_of_event};
-use muster_tests::cluster::Cluster;
-use muster_tests::process::{Process, python};
+use muster_tests::cluster::{Cluster, ClusterOptions};
+use muster_tests::process::{Process, python, run};
 use serde_json::Value;
 
 /// How long a fleet may take to be divided: two programs of Python start first.
@@ -31,19 +32,23 @@ impl Fleet {
     }
 
     fn peer(&self, what: &str, rest: &[&str]) -> Process {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
-        let script = root.join("tests/peers/ros_peer.py");
-        let port = self.cluster.endpoint.rsplit(':').next().unwrap();
-        let arguments = [&[script.to_str().unwrap(), what, port], rest].concat();
-        let folder = self.cluster.folder();
-        Process::start_at(&python().unwrap(), what, &arguments, &[], folder).unwrap()
+        start_peer(self.cluster.folder(), &self.cluster.endpoint, what, rest)
     }
+}
+
+/// Starts a program of ROS at a router.
+fn start_peer(folder: &Path, endpoint: &str, what: &str, rest: &[&str]) -> Process {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
+    let script = root.join("tests/peers/ros_peer.py");
+    let port = endpoint.rsplit(':').next().unwrap();
+    let arguments = [&[script.to_str().unwrap(), what, port], rest].concat();
+    Process::start_at(&python().unwrap(), what, &arguments, &[], folder).unwrap()
 }
 
 fn start_bridge(cluster: &Cluster, topics: &str) -> Process {
     let path = cluster.folder().join("ros2.toml");
     std::fs::write(&path, topics).unwrap();
-    let arguments = [
+    let mut arguments = vec![
         "--connect",
         &cluster.endpoint,
         "--fleet",
@@ -51,6 +56,10 @@ fn start_bridge(cluster: &Cluster, topics: &str) -> Process {
         "--topics",
         path.to_str().unwrap(),
     ];
+    let identity = cluster.identity(BRIDGE);
+    if let Some(identity) = &identity {
+        arguments.extend(["--zenoh-config", identity.to_str().unwrap()]);
+    }
     Process::start("muster-ros2", &arguments, &[], cluster.folder()).unwrap()
 }
 
@@ -82,6 +91,17 @@ fn is_near(at: [f64; 2], wanted: [f64; 2]) -> bool {
     (at[0] - wanted[0]).hypot(at[1] - wanted[1]) < 1e-6
 }
 
+/// The pairs are where the peer put them: the frame odom of each is turned and far away, so that the positions would be others
+/// as they are.
+async fn pairs_stand_where_they_are(cluster: &Cluster) {
+    let positions = positions(cluster).await;
+    for pair in PAIRS {
+        let parts: Vec<&str> = pair.split(':').collect();
+        let wanted = [parts[1], parts[2]].map(|number| number.parse().unwrap());
+        assert!(is_near(positions[parts[0]], wanted), "{pair}: {positions:?}");
+    }
+}
+
 /// Waits until a peer has printed a line of JSON that is right.
 async fn printed(peer: &mut Process, what: &str, right: impl Fn(&Value) -> bool) -> Value {
     let start = Instant::now();
@@ -108,13 +128,7 @@ async fn robots_of_ros_are_divided_where_they_are_and_a_console_of_ros_sees_it()
     let mut robots = fleet.peer("robots", &PAIRS);
     let formed = teams.until("two teams of robots of ROS", SOON, are_pairs).await.unwrap();
 
-    // The frame odom of each is turned and far away: as they are, the positions would be others.
-    let positions = positions(&fleet.cluster).await;
-    for (robot, wanted) in
-        [("r1", [0.0, 0.0]), ("r2", [2.0, 1.0]), ("s1", [40.0, 0.0]), ("s2", [41.0, 2.0])]
-    {
-        assert!(is_near(positions[robot], wanted), "{robot}: {positions:?}");
-    }
+    pairs_stand_where_they_are(&fleet.cluster).await;
 
     // A console of ROS sees the division, the team of each robot, the diagnostics and the markers.
     let placed = division(&formed);
@@ -199,7 +213,11 @@ async fn robots_of_ros_are_read_at_routers_of_other_versions() {
             division.len() == 4 && division.values().all(Option::is_some)
         };
         teams.until(&format!("robots at a router of Zenoh {version}"), SOON, all).await.unwrap();
+        pairs_stand_where_they_are(&fleet.cluster).await;
         printed(&mut console, "team", |value| value["robot"] == "r1").await;
+        let found = doctor_finds(&fleet.cluster.endpoint);
+        assert_eq!(found.contains_key("router_old"), version == "1.7.2", "{version}: {found:?}");
+        assert!(found.contains_key("ros_unannounced"), "{version}: {found:?}");
     }
 }
 
@@ -242,15 +260,18 @@ async fn a_late_bridge_finds_static_transforms_and_humble_is_read() {
     let robots = ["r1:0:0:static", "r2:2:1:humble", "s1:40:0:static", "s2:41:2:tf"];
     let mut robots = fleet.peer("robots", &robots);
     robots.until_prints("4 robots publish", SOON).unwrap();
-    // The transforms were put once, and no bridge was there.
+    // The transforms and the superiors were put once, and no bridge was there.
     tokio::time::sleep(Duration::from_secs(1)).await;
-    fleet.bridge = start_bridge(&fleet.cluster, "");
+    let ranks = "[[rank]]\ntopic = \"/{robot}/superior\"\ntype = \"std_msgs/String\"\nsuperior = \"data\"\n";
+    fleet.bridge = start_bridge(&fleet.cluster, ranks);
     teams.until("two teams of robots of ROS", SOON, are_pairs).await.unwrap();
-    let positions = positions(&fleet.cluster).await;
-    assert!(
-        is_near(positions["r1"], [0.0, 0.0]) && is_near(positions["r2"], [2.0, 1.0]),
-        "{positions:?}"
-    );
+    pairs_stand_where_they_are(&fleet.cluster).await;
+    let is_led = |roster: &Value, robot: &str, superior: &str| {
+        let robots = roster["robots"].as_array().unwrap();
+        robots.iter().any(|one| one["robot"] == robot && one["superior"] == superior)
+    };
+    let led = |roster: &Value| is_led(roster, "r1", "r2") && is_led(roster, "s1", "s2");
+    client.until("roster?format=json", SOON, led).await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -261,6 +282,7 @@ async fn robots_that_share_a_tree_and_robots_behind_a_bridge_of_dds_are_read() {
     let teams = client.watch("json/teams").await.unwrap();
     let mut robots = fleet.peer("robots", &[&PAIRS[..], &["--shared"]].concat());
     teams.until("two teams with one tree of frames", SOON, are_pairs).await.unwrap();
+    pairs_stand_where_they_are(&fleet.cluster).await;
     robots.kill().unwrap();
     drop(fleet);
 
@@ -270,26 +292,156 @@ async fn robots_that_share_a_tree_and_robots_behind_a_bridge_of_dds_are_read() {
     let pairs = PAIRS.map(|robot| format!("{robot}:dds"));
     let _robots = fleet.peer("robots", &pairs.each_ref().map(String::as_str));
     teams.until("two teams behind a bridge of DDS", SOON, are_pairs).await.unwrap();
+    pairs_stand_where_they_are(&fleet.cluster).await;
 }
 
-/// Whether a program of ROS receives another one's messages through a router, within a while.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_bridge_is_a_member_of_a_secured_fleet_and_robots_of_ros_meet_at_a_router_of_their_own() {
+    let settings = [("clusterer", "teams=2")];
+    let options = ClusterOptions {
+        security: Security::Secured,
+        settings: &settings,
+        ..ClusterOptions::default()
+    };
+    let cluster = Cluster::start_by(&options).unwrap();
+    let endpoint = muster_tests::cluster::free_endpoint().unwrap();
+    let arguments = ["router", "--ros", "--listen", &endpoint];
+    let mut router = Process::start("muster", &arguments, &[], cluster.folder()).unwrap();
+    router.until_prints("router listens at", SOON).unwrap();
+    let bridge = start_bridge(&cluster, &format!("connect = [\"{endpoint}\"]\n"));
+    let peer = |what: &str, rest: &[&str]| start_peer(cluster.folder(), &endpoint, what, rest);
+    let client = cluster.client().await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+    let mut console = peer("console", &["r1"]);
+    let _robots = peer("robots", &[&PAIRS[..], &["lost:7:7:none"]].concat());
+    teams.until("two teams of robots of ROS", SOON, are_pairs).await.unwrap();
+    pairs_stand_where_they_are(&cluster).await;
+    printed(&mut console, "team", |value| value["robot"] == "r1").await;
+    // Its answers reach an operator, whose doctor sees nothing of the programs of ROS behind it.
+    let start = Instant::now();
+    loop {
+        let (_, out, err) = cluster.muster(&["doctor", "--json", "--listen-for", "1"]).unwrap();
+        let report: Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{out}{err}"));
+        let findings = report["findings"].as_array().unwrap();
+        let has = |id: &str| findings.iter().any(|finding| finding["id"] == id);
+        assert!(!has("ros_unannounced") && !has("access_denied"), "{report:#}");
+        if has("ros_no_chain") {
+            break;
+        }
+        assert!(start.elapsed() < SOON, "{report:#}{}", bridge.output());
+    }
+}
+
+/// The findings of the doctor by name: what they concern, what is seen, and what to do.
+fn doctor_finds(endpoint: &str) -> BTreeMap<String, (Vec<String>, String)> {
+    let arguments =
+        ["doctor", "--json", "--fleet", "alpha", "--connect", endpoint, "--listen-for", "1"];
+    let (_, out, err) = run("muster", &arguments, SOON).unwrap();
+    let report: Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{out}{err}"));
+    let findings = report["findings"].as_array().unwrap().iter();
+    let finding = |finding: &Value| {
+        let text = |name: &str| finding[name].as_str().unwrap().to_owned();
+        let subjects = finding["subjects"].as_array().unwrap().iter();
+        let subjects = subjects.map(|subject| subject.as_str().unwrap().to_owned()).collect();
+        (text("id"), (subjects, format!("{} {}", text("seen"), text("remedy"))))
+    };
+    findings.map(finding).collect()
+}
+
+/// Waits until what the doctor finds is right.
+async fn until_doctor_finds(
+    endpoint: &str,
+    right: impl Fn(&BTreeMap<String, (Vec<String>, String)>) -> bool,
+) {
+    let start = Instant::now();
+    loop {
+        let found = tokio::task::block_in_place(|| doctor_finds(endpoint));
+        if right(&found) {
+            return;
+        }
+        assert!(start.elapsed() < SOON, "{found:#?}");
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_doctor_says_what_does_not_suit_robots_of_ros() {
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
+    cluster.kill_router().unwrap();
+    let router = |arguments: &[&str]| {
+        let arguments = [&["router", "--listen", &cluster.endpoint], arguments].concat();
+        let mut router = Process::start("muster", &arguments, &[], cluster.folder()).unwrap();
+        router.until_prints("router listens at", SOON).unwrap();
+        router
+    };
+    let config = cluster.folder().join("router.json5");
+    std::fs::write(&config, r#"{"transport": {"link": {"tx": {"lease": 60000}}}}"#).unwrap();
+    let mut slow = router(&["--zenoh-config", config.to_str().unwrap()]);
+    let bridge = start_bridge(&cluster, "");
+    let fleet = Fleet { cluster, bridge };
+    let endpoint = fleet.cluster.endpoint.clone();
+    // One program of ROS is nothing that could miss another.
+    let wrong = ["lost:7:7:none", "bare:8:8:bare", "other:9:9:other"];
+    let mut robots = fleet.peer("robots", &[&PAIRS[..], &wrong].concat());
+    let expected = [
+        ("router_lease", "tcp/", "muster-ros2 goes by the age of their data"),
+        ("ros_no_chain", "0/lost/odom/", "from the frame odom to map"),
+        ("ros_no_attachment", "0/bare/odom/", "zenoh-bridge-ros2dds"),
+        ("ros_type_hash", "0/other/odom/", "`definition`"),
+    ];
+    until_doctor_finds(&endpoint, |found| {
+        let is_found = |(id, subject, text): &(&str, &str, &str)| {
+            found.get(*id).is_some_and(|(subjects, said)| {
+                subjects.len() == 1 && subjects[0].starts_with(subject) && said.contains(text)
+            })
+        };
+        expected.iter().all(is_found) && !found.contains_key("ros_unannounced")
+    })
+    .await;
+    let mut console = fleet.peer("console", &["r1"]);
+    until_doctor_finds(&endpoint, |found| {
+        let unannounced = found.get("ros_unannounced");
+        unannounced.is_some_and(|(_, said)| said.contains("muster router --ros"))
+    })
+    .await;
+
+    // With such a router, and robots that are right, nothing of it is left.
+    robots.kill().unwrap();
+    console.kill().unwrap();
+    slow.kill().unwrap();
+    let arguments = ["router", "--ros", "--listen", &endpoint];
+    let _router = Process::start("muster", &arguments, &[], fleet.cluster.folder()).unwrap();
+    let client = fleet.cluster.client().await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+    let _console = fleet.peer("console", &["r1"]);
+    let _robots = fleet.peer("robots", &PAIRS);
+    teams.until("two teams of robots of ROS", SOON, are_pairs).await.unwrap();
+    until_doctor_finds(&endpoint, |found| {
+        let is_of_ros = |id: &String| id.starts_with("ros_") || id.starts_with("router_");
+        !found.contains_key("service_silent") && !found.keys().any(is_of_ros)
+    })
+    .await;
+}
+
+/// Whether a program of ROS receives another one's messages through a router, within a while. The doctor says the same of
+/// the router.
 async fn peers_reach_each_other(command: &[&str]) -> bool {
     let endpoint = muster_tests::cluster::free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let arguments = [command, &["--listen", &endpoint]].concat();
     let mut router = Process::start("muster", &arguments, &[], folder.path()).unwrap();
     router.until_prints("router listens at", SOON).unwrap();
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
-    let script = root.join("tests/peers/ros_peer.py");
-    let port = endpoint.rsplit(':').next().unwrap();
-    let start = |what: &str, rest: &[&str]| {
-        let arguments = [&[script.to_str().unwrap(), what, port], rest].concat();
-        Process::start_at(&python().unwrap(), what, &arguments, &[], folder.path()).unwrap()
-    };
-    let mut echo = start("echo", &["r1"]);
+    let mut echo = start_peer(folder.path(), &endpoint, "echo", &["r1"]);
     echo.until_prints("listens", SOON).unwrap();
-    let mut robots = start("robots", &["r1:0:0"]);
+    let mut robots = start_peer(folder.path(), &endpoint, "robots", &["r1:0:0"]);
     robots.until_prints("1 robots publish", SOON).unwrap();
+    let unannounced = doctor_finds(&endpoint).contains_key("ros_unannounced");
+    let reached = is_received(&echo).await;
+    assert_eq!(unannounced, !reached, "the doctor sees whether they reach each other");
+    reached
+}
+
+async fn is_received(echo: &Process) -> bool {
     let begin = Instant::now();
     while begin.elapsed() < Duration::from_secs(6) {
         if echo.output().contains("received") {

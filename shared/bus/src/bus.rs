@@ -240,7 +240,11 @@ impl Bus {
     }
 
     /// The texts of the liveliness tokens that are there now, not more than are kept.
-    async fn token_texts(&self, pattern: &str, within: Duration) -> anyhow::Result<Vec<String>> {
+    pub(crate) async fn token_texts(
+        &self,
+        pattern: &str,
+        within: Duration,
+    ) -> anyhow::Result<Vec<String>> {
         let (sender, mut receiver) = mpsc::channel(MAX_ANSWERS);
         self.session
             .liveliness()

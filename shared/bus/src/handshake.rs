@@ -16,7 +16,10 @@ use zenoh_buffers::reader::HasReader;
 use zenoh_buffers::writer::HasWriter;
 use zenoh_codec::{RCodec, WCodec, Zenoh080};
 use zenoh_protocol::VERSION;
+use zenoh_protocol::common::ZExtBody;
 use zenoh_protocol::core::{Resolution, WhatAmI, ZenohIdProto};
+use zenoh_protocol::network::NetworkBody;
+use zenoh_protocol::network::oam::id::OAM_LINKSTATE;
 use zenoh_protocol::transport::init::ext::PatchType;
 use zenoh_protocol::transport::{
     BatchSize, Close, InitSyn, OpenSyn, TransportBody, TransportMessage, close,
@@ -27,6 +30,21 @@ const OWN_LEASE: Duration = Duration::from_secs(2);
 
 /// Most bytes of the answer of another program that are shown.
 const MAX_TEXT: usize = 64;
+
+/// How long after a link is open the announcement of a router is waited for. It is the first thing that is sent on it.
+const ANNOUNCED_WITHIN: Duration = Duration::from_secs(1);
+
+/// The flag of a link state that says where the node listens (`linkstate::LOC` of Zenoh 1.10.2).
+const LISTENS_AT: u64 = 1 << 2;
+
+/// Whether a router announces peers to each other.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Announcing {
+    /// The id of the router, as Zenoh writes it.
+    pub router: String,
+    /// Whether it does.
+    pub is_on: bool,
+}
 
 /// What answers at an endpoint.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -106,11 +124,78 @@ async fn connect(address: &str) -> Result<TcpStream, Reach> {
     Err(if refused { Reach::Refused } else { Reach::Silent })
 }
 
-/// Opens a link by hand. A program that sends nothing has half of the time.
+/// Whether a router announces to peers where others are (Zenoh calls that gossip): only then do they link to each other.
+/// None if it cannot be seen: over other protocols than TCP, or if it does not let us in.
+///
+/// This links as a peer for a moment, one that listens nowhere. A router that announces says at once where it listens
+/// itself; one that does not leaves that out (1.9 and later), or says nothing (before).
+pub async fn announces_peers(endpoint: &str, within: Duration) -> Option<Announcing> {
+    let endpoint = endpoint.parse::<EndPoint>().ok()?;
+    if endpoint.protocol().as_str() != "tcp" {
+        return None;
+    }
+    let connecting = tokio::time::timeout(within, connect(endpoint.address().as_str()));
+    let mut stream = connecting.await.ok()?.ok()?;
+    let opened = tokio::time::timeout(within, open(&mut stream, WhatAmI::Peer, within));
+    let opened = opened.await.ok()?.ok().filter(|opened| opened.router)?;
+    let listening = async {
+        loop {
+            let batch = receive_bytes(&mut stream).await.ok()?;
+            if let Some(is_on) = announcement(&batch) {
+                return Some(is_on);
+            }
+        }
+    };
+    let is_on = tokio::time::timeout(ANNOUNCED_WITHIN, listening).await;
+    close(&mut stream).await;
+    match is_on {
+        Ok(Some(is_on)) => Some(Announcing { router: opened.id, is_on }),
+        // The link is lost.
+        Ok(None) => None,
+        Err(_) => Some(Announcing { router: opened.id, is_on: false }),
+    }
+}
+
+/// Whether a batch holds what a router says of its links, and whether it says there where it listens.
+fn announcement(batch: &[u8]) -> Option<bool> {
+    let mut reader = batch.reader();
+    while let Ok(message) = RCodec::<TransportMessage, _>::read(Zenoh080::new(), &mut reader) {
+        let TransportBody::Frame(frame) = message.body else { continue };
+        for message in frame.payload {
+            let NetworkBody::OAM(oam) = message.body else { continue };
+            let (OAM_LINKSTATE, ZExtBody::ZBuf(list)) = (oam.id, oam.body) else { continue };
+            // How many there are, and what the first one, the router's own, contains.
+            let mut list = list.reader();
+            let count: u64 = Zenoh080::new().read(&mut list).ok()?;
+            let contains: u64 = Zenoh080::new().read(&mut list).ok()?;
+            return Some(count > 0 && contains & LISTENS_AT != 0);
+        }
+    }
+    None
+}
+
+/// Opens a link by hand, and lets go of it. A program that sends nothing has half of the time.
 async fn greet(stream: &mut TcpStream, within: Duration) -> Reach {
+    match open(stream, WhatAmI::Client, within).await {
+        Ok(Opened { lease, router, .. }) => {
+            close(stream).await;
+            Reach::Zenoh { lease, router }
+        }
+        Err(reach) => reach,
+    }
+}
+
+/// What a node states of itself as it opens a link.
+struct Opened {
+    id: String,
+    lease: Duration,
+    router: bool,
+}
+
+async fn open(stream: &mut TcpStream, whatami: WhatAmI, within: Duration) -> Result<Opened, Reach> {
     let syn = TransportBody::InitSyn(InitSyn {
         version: VERSION,
-        whatami: WhatAmI::Client,
+        whatami,
         zid: ZenohIdProto::rand(),
         resolution: Resolution::default(),
         batch_size: BatchSize::MAX,
@@ -129,15 +214,15 @@ async fn greet(stream: &mut TcpStream, within: Duration) -> Reach {
     };
     let answer = match tokio::time::timeout(within / 2, answered).await {
         Ok(Ok(answer)) => answer,
-        Ok(Err(text)) => return Reach::Foreign(text),
-        Err(_) => return Reach::Foreign(None),
+        Ok(Err(text)) => return Err(Reach::Foreign(text)),
+        Err(_) => return Err(Reach::Foreign(None)),
     };
     let ack = match answer {
         TransportBody::InitAck(ack) => ack,
         TransportBody::Close(closed) => {
-            return Reach::Closed(close::reason_to_str(closed.reason).to_owned());
+            return Err(Reach::Closed(close::reason_to_str(closed.reason).to_owned()));
         }
-        _ => return Reach::Closed("it answers out of order".to_owned()),
+        _ => return Err(Reach::Closed("it answers out of order".to_owned())),
     };
     let open = TransportBody::OpenSyn(OpenSyn {
         lease: OWN_LEASE,
@@ -154,19 +239,22 @@ async fn greet(stream: &mut TcpStream, within: Duration) -> Reach {
         Ok(()) => receive(stream).await,
         Err(text) => Err(text),
     };
-    let reach = match opened {
+    let refused = match opened {
         Ok(TransportBody::OpenAck(open)) => {
-            Reach::Zenoh { lease: open.lease, router: ack.whatami == WhatAmI::Router }
+            let (id, router) = (ack.zid.to_string(), ack.whatami == WhatAmI::Router);
+            return Ok(Opened { id, lease: open.lease, router });
         }
-        Ok(TransportBody::Close(closed)) => {
-            Reach::Closed(close::reason_to_str(closed.reason).to_owned())
-        }
-        Ok(_) | Err(_) => Reach::Closed("it does not open a link".to_owned()),
+        Ok(TransportBody::Close(closed)) => close::reason_to_str(closed.reason),
+        Ok(_) | Err(_) => "it does not open a link",
     };
+    close(stream).await;
+    Err(Reach::Closed(refused.to_owned()))
+}
+
+/// Lets go of a link; whether the other end reads that does not matter.
+async fn close(stream: &mut TcpStream) {
     let close = Close { reason: close::reason::GENERIC, session: true };
-    // It is let go of in any case.
     let _ = send(stream, TransportBody::Close(close)).await;
-    reach
 }
 
 /// Sends a message: its length in two bytes, then itself.
@@ -183,6 +271,20 @@ async fn send(stream: &mut TcpStream, body: TransportBody) -> Result<(), Option<
 
 /// Receives a message; the start of the answer instead, if it is none.
 async fn receive(stream: &mut TcpStream) -> Result<TransportBody, Option<String>> {
+    let bytes = receive_bytes(stream).await?;
+    let message: Result<TransportMessage, _> = Zenoh080::new().read(&mut bytes.as_slice().reader());
+    match message {
+        Ok(message) => Ok(message.body),
+        // The length is the start of what came as well, where it is no message of Zenoh.
+        Err(_) => {
+            let length = u16::try_from(bytes.len()).unwrap_or(u16::MAX).to_le_bytes();
+            Err(first_line(&[&length[..], &bytes].concat()))
+        }
+    }
+}
+
+/// Receives a batch of messages: the length in two bytes, then themselves.
+async fn receive_bytes(stream: &mut TcpStream) -> Result<Vec<u8>, Option<String>> {
     let mut length = [0; 2];
     let mut read = 0;
     while read < length.len() {
@@ -204,11 +306,7 @@ async fn receive(stream: &mut TcpStream) -> Result<TransportBody, Option<String>
             _ => return Err(first_line(&[&length[..], &bytes[..read]].concat())),
         }
     }
-    let message: Result<TransportMessage, _> = Zenoh080::new().read(&mut bytes.as_slice().reader());
-    match message {
-        Ok(message) => Ok(message.body),
-        Err(_) => Err(first_line(&[&length[..], &bytes].concat())),
-    }
+    Ok(bytes)
 }
 
 fn first_line(bytes: &[u8]) -> Option<String> {

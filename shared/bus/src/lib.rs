@@ -22,6 +22,7 @@ mod zenoh_config;
 pub use bus::{Bus, ConnectTimeout, Subscription, Token, Urgency};
 pub use config::{BusConfig, Mode};
 pub use error::{EndpointError, OpenError};
+pub use foreign::RouterState;
 pub use get::{Answer, Ask, Target};
 pub use publishers::Publishers;
 pub use serve::{IncomingQuery, Query, Served};

@@ -98,9 +98,10 @@
 //! `reporter` checks, numbers and remembers the reports of a robot, `send_queue` is the bounded queue to
 //! the bus, `freshness` decides which message is the newest and when it is stale: none of them knows the
 //! bus, and each is tested without one. [`Watch`] and [`Robot`] connect them to a session; `get` has what a
-//! console asks for once, `history` what it asks recordings, `propose` what it asks
+//! console asks for once, `bridge` what bridges say of themselves, `history` what it asks recordings, `propose` what it asks
 //! about other settings.
 
+mod bridge;
 mod changes;
 mod client;
 mod command;
@@ -116,12 +117,13 @@ mod robot;
 mod send_queue;
 mod watch;
 
-pub use muster_bus::Session;
+pub use muster_bus::{RouterState, Session};
 pub use muster_model as model;
 pub use muster_model::observation::{Pose, Report};
 pub use muster_model::refused::Refused;
 pub use muster_wire::Format;
 
+pub use crate::bridge::{BridgeGet, BridgeGets};
 pub use crate::changes::Change;
 pub use crate::client::Client;
 pub use crate::config::{Config, Mode};

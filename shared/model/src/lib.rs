@@ -13,6 +13,7 @@
 
 pub mod alert;
 pub mod audit;
+pub mod bridge;
 pub mod command;
 pub mod content;
 pub mod embedding;

@@ -85,6 +85,8 @@ pub enum Key {
     Why,
     /// `propose/{operator}/{id}`: a get answers with the proposal, one with a payload asks for it or drops it.
     Proposal(OperatorId, ProposalId),
+    /// `bridge/{instance}`: a get answers with what a bridge to robots of another protocol takes and refuses.
+    Bridge(InstanceId),
 }
 
 /// A set of keys to subscribe to, serve or get.
@@ -128,6 +130,8 @@ pub enum Pattern {
     EachProposal,
     /// `propose/{operator}/*`
     ProposalsOf(OperatorId),
+    /// `bridge/*`: all bridges.
+    Bridges,
 }
 
 /// Why a text is not a key of the fleet.
@@ -216,6 +220,7 @@ impl KeySpace {
             Pattern::Statuses => "service/*/status",
             Pattern::EachWish => "wish/*/*",
             Pattern::EachProposal => "propose/*/*",
+            Pattern::Bridges => "bridge/*",
             Pattern::ProposalsOf(operator) => {
                 return format!("{}propose/{operator}/*", self.prefix);
             }
@@ -302,6 +307,7 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         [Some("history"), Some(instance), Some("state"), None, _] => {
             Key::HistoryState(instance.parse().ok()?)
         }
+        [Some("bridge"), Some(instance), None, ..] => Key::Bridge(instance.parse().ok()?),
         [Some("service"), Some(service), Some(last), None, _] => {
             let service = service.parse().ok()?;
             match last {
@@ -344,6 +350,7 @@ impl Pattern {
             | Self::Statuses
             | Self::HistoryStates
             | Self::EachWish
+            | Self::Bridges
             | Self::Commands(_) => MAX_SMALL_PAYLOAD,
             Self::RobotTokens | Self::ServiceTokens | Self::InstanceTokens(_) => 0,
             Self::Graphs
@@ -372,6 +379,7 @@ impl Key {
             | Self::Lease(_)
             | Self::HistoryState(_)
             | Self::Wish(..)
+            | Self::Bridge(_)
             | Self::Command(..) => MAX_SMALL_PAYLOAD,
             Self::RobotToken(_) | Self::ServiceToken(..) => 0,
             _ => MAX_SERVICE_PAYLOAD,
@@ -424,6 +432,7 @@ impl fmt::Display for Key {
                 write!(formatter, "command/{service}/{operator}/{id}")
             }
             Self::Proposal(operator, id) => write!(formatter, "propose/{operator}/{id}"),
+            Self::Bridge(instance) => write!(formatter, "bridge/{instance}"),
             Self::Wishes => formatter.write_str("wishes"),
             Self::JsonWishes => formatter.write_str("json/wishes"),
             Self::Why => formatter.write_str("why"),
@@ -468,6 +477,7 @@ mod tests {
             Key::JsonWishes,
             Key::Why,
             Key::Proposal(OperatorId::new("alice").unwrap(), ProposalId::new("p1").unwrap()),
+            Key::Bridge(InstanceId::new("host-1").unwrap()),
         ];
         let robot = RobotId::new("r2").unwrap();
         keys.extend(Stream::BUILT_IN.map(|stream| Key::Stream(robot.clone(), stream)));
@@ -545,6 +555,8 @@ mod tests {
             "wish/alice/p1/x",
             "wish/A/p1",
             "propose/alice",
+            "bridge",
+            "bridge/host-1/x",
             "propose/alice/p1/x",
             "robot/r1/relation/a/",
         ] {

@@ -5,13 +5,15 @@
 //! [`key`] has every key, typed; [`packet`] is what crosses the bus before it is decoded; [`message`] ties a
 //! key to a content and its two forms: [`envelope`] (binary) and [`json`]. [`report`] reads and writes the
 //! reports of robots, [`robot_team`] the team that a robot reads, [`katz`] the similarity of a pair that a
-//! console reads, [`why`] why a robot is in its team, [`history`] what is asked of a history, [`request`] gets; [`decode`] has the reasons for refusals. [`foreign`] has the keys of other
+//! console reads, [`why`] why a robot is in its team, [`history`] what is asked of a history, [`bridge`] what
+//! a bridge says of itself, [`request`] gets; [`decode`] has the reasons for refusals. [`foreign`] has the keys of other
 //! programs, [`recording`] the files of recordings, [`kept`] what is kept over a restart, [`schema`] the JSON Schema. Nothing outside of this crate
 //! handles bytes, and nothing in it knows the bus.
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
 pub mod alerts;
+pub mod bridge;
 mod bytes;
 pub mod command;
 pub mod decode;

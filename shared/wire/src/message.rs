@@ -228,6 +228,7 @@ impl Message {
             | Key::Schema
             | Key::Why
             | Key::Proposal(..)
+            | Key::Bridge(_)
             | Key::Stream(..)
             | Key::Foreign(_) => return Err(DecodeError::NotRead),
         })

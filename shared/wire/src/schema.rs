@@ -8,6 +8,7 @@
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
+use muster_model::bridge::BridgeState;
 use muster_model::command::OperatorCommand;
 use muster_model::history::{HistoryAnswer, RecordingState};
 use muster_model::id::{Modality, ServiceName};
@@ -184,6 +185,7 @@ impl Schemas {
             "weights that do not sum to 1, limits, needs and robots that nothing satisfies for the fleet, robots that are \
              not in it, a robot that is named twice, and more than 8 open proposals of one operator, or 16 of all.",
         );
+        all.written::<BridgeState>("bridge", &["bridge/{instance}"]);
         all.written::<Problem<'_>>("error", &[]);
         all
     }

@@ -50,7 +50,7 @@ fn every_message_and_every_part_is_there_once_and_refers_to_what_is_there() {
     ];
     wanted.extend(["wish", "wish_report", "wishes", "why", "proposal", "proposal_request"]);
     wanted.extend(["refused", "relation", "robot_team", "roster", "status", "teams"]);
-    wanted.extend(["history", "history_state", "command", "command_outcome"]);
+    wanted.extend(["history", "history_state", "command", "command_outcome", "bridge"]);
     let mut wanted: Vec<String> = wanted.into_iter().map(str::to_owned).collect();
     for service in ServiceName::ALL {
         wanted.extend([format!("{service}_settings"), format!("{service}_settings_patch")]);

@@ -12,7 +12,7 @@ use muster_runtime::exit::ExitError;
 use muster_wire::{KeySpace, Pattern};
 
 use super::certs::{AUTHORITY, CERTIFICATE, KEY, PUBLIC_MODE, SECRET_MODE, base64, read, write};
-use super::fleet::{FleetFile, Identity, Kind, PROTOCOLS, Router};
+use super::fleet::{FleetFile, Identity, PROTOCOLS, Router};
 use super::rights::Rights;
 
 /// The router for trusted networks. The secured one is this text with the parts below inserted.
@@ -264,7 +264,8 @@ impl Rules {
                    nothing.";
         let messages = ["declare_subscriber", "declare_queryable"];
         self.add("declarations", why, "\"egress\"", &messages, &everything)?;
-        let why = "Services receive the gets of all identities that may get, wildcards included.";
+        let why =
+            "Who answers gets receives those of all identities that may get, wildcards included.";
         let keys = [KeySpace::new(fleet.clone()).pattern(&Pattern::Everything)];
         self.add("gets", why, "\"egress\"", &["query"], &keys)?;
         Ok(())
@@ -274,7 +275,7 @@ impl Rules {
     fn of(&mut self, identity: &Identity, rights: &Rights) -> anyhow::Result<Vec<String>> {
         let (ingress, egress) = ("\"ingress\"", "\"egress\"");
         let mut used = vec!["declarations".to_owned()];
-        if identity.kind == Kind::Service {
+        if !rights.reply.is_empty() {
             used.push("gets".to_owned());
         }
         let all: [(&str, &str, &[&str], &Vec<String>); 9] = [

@@ -160,11 +160,12 @@ fn of_viewer(space: &KeySpace) -> Rights {
         Key::Why,
     ];
     let keys = keys.iter().map(|key| space.format(key));
-    let wildcards = ["robot/**", "graph/*", "service/**", "json/*", "history/**", "wish/*/*"];
+    let wildcards =
+        ["robot/**", "graph/*", "service/**", "json/*", "history/**", "wish/*/*", "bridge/*"];
     Rights { get: keys.chain(wildcards.map(all)).collect(), ..of_reader(space) }
 }
 
-/// A bridge speaks for robots, whichever they are, and reads the division. It declares no token: the presence of its robots
+/// A bridge speaks for robots, whichever they are, reads the division, and answers for itself. It declares no token: the presence of its robots
 /// follows from what it puts.
 fn of_bridge(space: &KeySpace) -> Rights {
     let streams = Stream::BUILT_IN.into_iter().map(Pattern::Stream);
@@ -173,6 +174,7 @@ fn of_bridge(space: &KeySpace) -> Rights {
         put: streams.map(|stream| space.pattern(&stream)).collect(),
         get: read.clone(),
         subscribe: read,
+        reply: vec![space.pattern(&Pattern::Bridges)],
         ..Rights::default()
     }
 }
@@ -335,7 +337,8 @@ mod tests {
         assert_eq!(may.put, of(["robot/*/pose", "robot/*/links", "robot/*/rank"]));
         assert_eq!(may.subscribe, of(["teams", "audit", "roster"]));
         assert_eq!(may.get, may.subscribe);
-        assert!(may.declare_token.is_empty() && may.watch_token.is_empty() && may.reply.is_empty());
+        assert_eq!(may.reply, ["muster/v1/default/bridge/*"]);
+        assert!(may.declare_token.is_empty() && may.watch_token.is_empty());
     }
 
     #[test]

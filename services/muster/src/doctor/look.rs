@@ -4,9 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use muster_client::{Client, Error, Events, Feed, FleetPresence, ReceivedPose, ServiceInstance};
+use muster_client::{
+    Client, Error, Events, Feed, FleetPresence, ReceivedPose, RouterState, ServiceInstance,
+};
 use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
+use muster_model::bridge::BridgeState;
 use muster_model::embedding::Embedding;
 use muster_model::event::{Event, EventKind};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
@@ -17,12 +20,14 @@ use muster_model::status::ServiceStatus;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_runtime::clock::Clock;
+use muster_wire::ForeignPattern;
 use muster_wire::message::quoted;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use tokio::time::timeout_at;
 
+use super::findings::RosPrograms;
 use crate::console::reply;
 
 /// Most robots whose poses are received: enough to see a clock that is off, and no load on the bus of a
@@ -31,6 +36,9 @@ const MAX_SAMPLED_ROBOTS: usize = 32;
 
 /// How soon a service must answer for its clock to be compared with ours: half of that is the error.
 const CLOCK_TIMEOUT: Duration = Duration::from_millis(400);
+
+/// The liveliness tokens of everything that runs ROS with `rmw_zenoh`.
+const ROS_TOKENS: &str = "@ros2_lv/**";
 
 /// Most events that are kept while listening.
 const MAX_EVENTS: usize = 1024;
@@ -75,6 +83,12 @@ pub(super) struct Look {
     /// Robots that have joined.
     pub(super) robot_tokens: BTreeSet<RobotId>,
     pub(super) others: Vec<Other>,
+    /// Programs of ROS on the bus.
+    pub(super) ros: RosPrograms,
+    /// The routers that say what they are.
+    pub(super) routers: Vec<RouterState>,
+    /// The bridges to robots of other protocols.
+    pub(super) bridges: Vec<BridgeState>,
     /// What gets were answered with; an empty answer is one.
     pub(super) roster: Option<Arc<Roster>>,
     pub(super) embedding: Option<Arc<Embedding>>,
@@ -127,11 +141,13 @@ pub(super) async fn look(
 ) -> Result<Look, Error> {
     let clock = Clock::start();
     let events = client.events().await?;
-    let ((before, instances), tokens, robot_tokens, fleets, roster) = tokio::try_join!(
+    let ((before, instances), tokens, robot_tokens, fleets, ros, routers, roster) = tokio::try_join!(
         statuses(client, &clock),
         client.get_instances(),
         client.get_joined_robots(),
         client.get_fleets(),
+        ros_programs(client),
+        client.get_routers(),
         async { reply(client.get_roster().await) },
     )?;
     let known = robot_tokens.iter().cloned();
@@ -142,17 +158,19 @@ pub(super) async fn look(
     let until = tokio::time::Instant::now() + listen_for;
     let (events, robot_clocks) = tokio::join!(problems(events, until), clocks(poses, until));
     // What may have changed while we listened is asked for at the end.
-    let ((after, _), roster, embedding, teams, audit, alerts, ingest, clusterer, auditor) = tokio::try_join!(
-        statuses(client, &clock),
-        async { reply(client.get_roster().await) },
-        async { reply(client.get_embedding().await) },
-        async { reply(client.get_teams().await) },
-        async { reply(client.get_audit().await) },
-        async { reply(client.get_alerts().await) },
-        settings(client, ServiceName::Ingest),
-        settings(client, ServiceName::Clusterer),
-        settings(client, ServiceName::Auditor),
-    )?;
+    let ((after, _), roster, embedding, teams, audit, alerts, bridges, ingest, clusterer, auditor) =
+        tokio::try_join!(
+            statuses(client, &clock),
+            async { reply(client.get_roster().await) },
+            async { reply(client.get_embedding().await) },
+            async { reply(client.get_teams().await) },
+            async { reply(client.get_audit().await) },
+            async { reply(client.get_alerts().await) },
+            client.get_bridges(),
+            settings(client, ServiceName::Ingest),
+            settings(client, ServiceName::Clusterer),
+            settings(client, ServiceName::Auditor),
+        )?;
     let others = fleets.into_iter().filter(|other| other.fleet != *fleet).map(Other::from);
     Ok(Look {
         now: clock.now(),
@@ -162,6 +180,9 @@ pub(super) async fn look(
         tokens,
         robot_tokens,
         others: others.collect(),
+        ros,
+        routers,
+        bridges,
         roster,
         embedding,
         teams,
@@ -175,6 +196,13 @@ pub(super) async fn look(
         listened: listen_for,
         fleet: fleet.clone(),
     })
+}
+
+/// The programs of ROS that have tokens.
+async fn ros_programs(client: &Client) -> Result<RosPrograms, Error> {
+    // The pattern is a constant, and right.
+    let Ok(pattern) = ForeignPattern::new(ROS_TOKENS) else { return Ok(RosPrograms::default()) };
+    Ok(RosPrograms::of_tokens(&client.get_foreign_tokens(&pattern).await?))
 }
 
 /// The statuses of all services, and their instances.

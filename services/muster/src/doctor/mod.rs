@@ -72,7 +72,10 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
         let reach = handshake::reach(&name, REACH_TIMEOUT).await;
         endpoints.push(Endpoint { name, reach });
     }
-    let mut found: Vec<Finding> = endpoints.iter().filter_map(findings::of_endpoint).collect();
+    let of_endpoints = |has_ros: bool| -> Vec<Finding> {
+        let found = endpoints.iter().map(|endpoint| findings::of_endpoint(endpoint, has_ros));
+        found.flatten().collect()
+    };
     let client = if endpoints.iter().any(|endpoint| endpoint.reach.answers()) {
         console::open(config).await
     } else {
@@ -81,6 +84,7 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
     let client = match client {
         Ok(client) => client,
         Err(error) => {
+            let mut found = of_endpoints(false);
             if found.iter().all(|finding| finding.id != "no_router") {
                 found.push(findings::session(&error));
             }
@@ -88,13 +92,15 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
             return Err(ExitError::unreachable("no router answers").into());
         }
     };
+    let listen_for = Duration::from_secs_f64(args.listen_for);
+    let look = look::look(&client, &config.fleet.value, listen_for).await.map_err(exit_error)?;
+    let mut found = of_endpoints(look.ros.any());
     // Another router answers: one that does not is a warning, not the end.
     for finding in found.iter_mut().filter(|finding| finding.id == "no_router") {
         finding.severity = Severity::Warning;
         finding.remedy.push_str(". Programs use the other one meanwhile");
     }
-    let listen_for = Duration::from_secs_f64(args.listen_for);
-    let look = look::look(&client, &config.fleet.value, listen_for).await.map_err(exit_error)?;
+    found.extend(unannounced(&endpoints, &look).await);
     found.extend(findings::of_fleet(&look));
     found.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     print(args, config, &endpoints, Some(&look), &found)?;
@@ -104,6 +110,25 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
         1 => Err(failure("1 finding".to_owned())),
         many => Err(failure(format!("{many} findings"))),
     }
+}
+
+/// Routers that keep programs of ROS from finding each other. It links to them as a peer for a moment, only if there are
+/// such programs.
+async fn unannounced(endpoints: &[Endpoint], look: &Look) -> Vec<Finding> {
+    let mut found = Vec::new();
+    if !look.ros.several() {
+        return found;
+    }
+    for Endpoint { name, reach } in endpoints {
+        if matches!(reach, Reach::Zenoh { router: true, .. })
+            && let Some(announcing) = handshake::announces_peers(name, REACH_TIMEOUT).await
+            && !announcing.is_on
+        {
+            let router = &announcing.router;
+            found.extend(findings::unannounced(name, router, &look.ros, &look.routers));
+        }
+    }
+    found
 }
 
 fn no_router(endpoints: &[Endpoint]) -> anyhow::Result<Client> {

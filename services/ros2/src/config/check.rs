@@ -6,6 +6,8 @@ use std::time::Duration;
 use muster_model::id::RobotId;
 use muster_ros::key::MAX_DOMAIN;
 use muster_ros::{Catalog, Dialect, TopicName, TypeName};
+use muster_wire::ForeignPattern;
+use muster_wire::foreign::ForeignKeyError;
 
 use super::file::{File, PublishFile};
 use super::setup::{Content, PublishTopics, Setup, Source};
@@ -55,9 +57,14 @@ impl File {
         if namespace.is_some() && dialect == Dialect::RmwZenoh {
             return Err(wrong("namespace", "rmw_zenoh has none; write it into the topics"));
         }
+        let domains = self.checked_domains(dialect)?;
+        for (source, field) in sources.iter_mut().zip(self.topic_fields()) {
+            source.patterns = patterns(dialect, &domains, namespace.as_ref(), source)
+                .map_err(|error| wrong(field, error))?;
+        }
         Ok(Setup {
             dialect,
-            domains: self.checked_domains(dialect)?,
+            domains,
             type_hashes: self.type_hashes,
             namespace,
             every: self.every()?,
@@ -70,6 +77,15 @@ impl File {
             publish: self.publish.check()?,
             catalog,
         })
+    }
+
+    /// The fields with the topics of all sources, in their order.
+    fn topic_fields(&self) -> impl Iterator<Item = String> {
+        let lists =
+            [("pose", self.pose.len()), ("links", self.links.len()), ("rank", self.rank.len())];
+        let each = |(list, count)| (0..count).map(move |number| format!("{list}[{number}].topic"));
+        let frames = ["frames.tf", "frames.tf_static"].map(str::to_owned);
+        frames.into_iter().chain(lists.into_iter().flat_map(each))
     }
 
     fn checked_domains(&self, dialect: Dialect) -> Result<Vec<u32>, ConfigError> {
@@ -152,6 +168,30 @@ impl PublishFile {
             diagnostics: topic("diagnostics", &self.diagnostics)?,
             markers: topic("markers", &self.markers)?,
         })
+    }
+}
+
+/// The key expressions of a source.
+fn patterns(
+    dialect: Dialect,
+    domains: &[u32],
+    namespace: Option<&TopicName>,
+    source: &Source,
+) -> Result<Vec<ForeignPattern>, ForeignKeyError> {
+    let robots = source.topic.with("*");
+    match dialect {
+        Dialect::RmwZenoh => {
+            let type_name = source.layout.name().to_dds();
+            let text = |domain| format!("{domain}/{robots}/{type_name}/*");
+            domains.iter().map(text).map(ForeignPattern::new).collect()
+        }
+        Dialect::Ros2Dds => {
+            let text = match namespace {
+                Some(namespace) => format!("{}/{robots}", namespace.as_str()),
+                None => robots,
+            };
+            Ok(vec![ForeignPattern::new(text)?])
+        }
     }
 }
 

@@ -116,6 +116,8 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named_with_its_field() {
+        const FIX: &str =
+            "type = \"sensor_msgs/NavSatFix\"\ndatum = { latitude = 1.0, longitude = 1.0 }";
         let pose = |rest: &str| format!("[[pose]]\ntopic = \"/{{robot}}/p\"\n{rest}");
         for (text, expected) in [
             ("domain = 0", "unknown field `domain`"),
@@ -144,6 +146,19 @@ mod tests {
             (
                 "[[pose]]\ntopic = \"/odom\"\ntype = \"nav_msgs/Odometry\"",
                 "pose[0].topic: must contain",
+            ),
+            (&pose(&format!("{FIX}\nframe = \"map\"")), "pose[0].frame: a satellite fix has none"),
+            (
+                &pose(&format!("{FIX}\naxes = \"north_east_down\"")),
+                "pose[0].axes: a satellite fix has none",
+            ),
+            (
+                "dialect = \"ros2dds\"\n[[pose]]\ntopic = \"/{robot}\"\ntype = \"nav_msgs/Odometry\"",
+                "pose[0].topic: where the first chunk of a pattern has wildcards",
+            ),
+            (
+                "dialect = \"ros2dds\"\nframes = { tf = \"/muster/tf\", tf_static = \"/tf_static\" }",
+                "frames.tf: keys under muster/",
             ),
         ] {
             let problem = check(text).unwrap_err();

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use muster_model::id::RobotId;
 use muster_ros::{Catalog, Dialect, Layout, Place, TopicName, TypeHash};
+use muster_wire::ForeignPattern;
 
 use super::file::{Axes, Unit};
 use crate::core::geometry::Geodetic;
@@ -87,6 +88,8 @@ pub struct Source {
     pub layout: Arc<Layout>,
     /// The hash of that.
     pub hash: TypeHash,
+    /// The keys on which it comes: with any hash, so that a robot with another one is seen and refused.
+    pub patterns: Vec<ForeignPattern>,
     /// What is read.
     pub content: Content,
 }

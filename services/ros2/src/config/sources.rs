@@ -26,7 +26,7 @@ pub(super) fn source(
     let type_name = TypeName::parse(type_name).map_err(|error| wrong(field, error))?;
     let layout = catalog.layout(&type_name).map_err(|error| wrong(field, error))?;
     let hash = TypeHash::of(&layout);
-    Ok(Source { topic, layout, hash, content })
+    Ok(Source { topic, layout, hash, patterns: Vec::new(), content })
 }
 
 /// The topic of one robot each, and the layout of its type.
@@ -67,6 +67,16 @@ impl PoseFile {
         let form = Box::new(self.form(&layout, field)?);
         let frame = self.frame.as_deref().map(|frame| checked_frame(&field("frame"), frame));
         let frame = frame.transpose()?;
+        if matches!(*form, PoseForm::Fix { .. }) {
+            // A fix says where it is on the earth: nothing of this could apply to it.
+            let problem = "a satellite fix has none; leave it out";
+            if self.frame.is_some() {
+                return Err(wrong(field("frame"), problem));
+            }
+            if self.axes != Axes::default() {
+                return Err(wrong(field("axes"), problem));
+            }
+        }
         if frame.is_none() && matches!(*form, PoseForm::Named { .. }) {
             return Err(wrong(field("frame"), "name the frame that the coordinates are in"));
         }
@@ -76,7 +86,7 @@ impl PoseFile {
         }
         let hash = TypeHash::of(&layout);
         let content = Content::Pose { form, frame, axes: self.axes };
-        Ok(Source { topic, layout, hash, content })
+        Ok(Source { topic, layout, hash, patterns: Vec::new(), content })
     }
 
     fn form(
@@ -143,7 +153,7 @@ impl LinksFile {
         let peer = place(each, &self.peer, &field("peer"))?;
         let quality = place(each, &self.quality, &field("quality"))?;
         let content = Content::Links { list, peer, quality, unit: self.unit };
-        Ok(Source { topic, hash: TypeHash::of(&layout), layout, content })
+        Ok(Source { topic, hash: TypeHash::of(&layout), layout, patterns: Vec::new(), content })
     }
 }
 
@@ -157,6 +167,6 @@ impl RankFile {
         let (topic, layout) = topic_of(catalog, &self.topic, &self.type_name, definition, field)?;
         let superior = place(&layout, &self.superior, &field("superior"))?;
         let content = Content::Rank { superior };
-        Ok(Source { topic, hash: TypeHash::of(&layout), layout, content })
+        Ok(Source { topic, hash: TypeHash::of(&layout), layout, patterns: Vec::new(), content })
     }
 }

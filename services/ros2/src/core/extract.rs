@@ -1,5 +1,6 @@
 //! From values of ROS messages to reports.
 
+use muster_model::bridge::TopicFault;
 use muster_model::id::RobotId;
 use muster_model::observation::{Link, Links, Pose, Rank, Report};
 use muster_model::time::Tick;
@@ -24,18 +25,29 @@ pub(super) struct Stamped {
     pub(super) seq: u64,
 }
 
-/// Why a message leads to no report.
+/// Why a message is not taken.
 #[derive(Debug)]
 pub(super) struct Problem {
+    /// What is wrong, for programs.
+    pub(super) fault: TopicFault,
     /// What is wrong, and what would be right.
     pub(super) reason: String,
+}
+
+impl Problem {
+    pub(super) fn new(fault: TopicFault, reason: impl Into<String>) -> Self {
+        Self { fault, reason: reason.into() }
+    }
+
     /// Whether it may pass by itself while a robot starts: its transforms may come after its odometry.
-    pub(super) may_pass: bool,
+    pub(super) fn may_pass(&self) -> bool {
+        self.fault == TopicFault::NoChain
+    }
 }
 
 impl From<String> for Problem {
     fn from(reason: String) -> Self {
-        Self { reason, may_pass: false }
+        Self::new(TopicFault::Other, reason)
     }
 }
 
@@ -278,9 +290,13 @@ impl Reading<'_> {
         let empty = Frames::new(0);
         let frames = self.frames.unwrap_or(&empty);
         let chain = frames.chain(self.now, &full, world, *max_age);
-        chain.map_err(|error| Problem {
-            reason: muster_wire::message::plain_reason(&error.to_string()),
-            may_pass: matches!(error, ChainError::Apart { .. }),
+        chain.map_err(|error| {
+            let fault = match error {
+                ChainError::Apart { .. } => TopicFault::NoChain,
+                ChainError::Old { .. } => TopicFault::OldTransform,
+                ChainError::Circle(_) => TopicFault::Other,
+            };
+            Problem::new(fault, muster_wire::message::plain_reason(&error.to_string()))
         })
     }
 

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use muster_model::time::Tick;
+use muster_ros::Gid;
 
 use super::geometry::Transform;
 
@@ -24,6 +25,24 @@ struct Link {
     received: Tick,
     /// Whether it holds for good.
     is_static: bool,
+    /// Which message of which publisher it came with; none with a bridge of DDS, which numbers none.
+    number: Option<Number>,
+}
+
+/// Which message of which publisher a transform came with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Number {
+    /// The publisher.
+    pub publisher: Gid,
+    /// Grows with each of its messages.
+    pub sequence: i64,
+}
+
+impl Number {
+    /// Whether a message of the same publisher came before another one. Of different publishers nothing is known.
+    fn is_before(self, other: Self) -> bool {
+        self.publisher == other.publisher && self.sequence < other.sequence
+    }
 }
 
 /// Why there is no way from a frame to the world.
@@ -78,7 +97,8 @@ impl Frames {
         Self { links: BTreeMap::new(), limit }
     }
 
-    /// A transform arrived. One of a frame that is its own parent is left out.
+    /// A transform arrived. One of a frame that is its own parent is left out, and so is one that was put before another one
+    /// of its publisher that has arrived already.
     ///
     /// # Errors
     /// If the frame is new and one too many.
@@ -89,12 +109,17 @@ impl Frames {
         child: &str,
         transform: Transform,
         is_static: bool,
+        number: Option<Number>,
     ) -> Result<(), TooManyFrames> {
         if parent == child || !transform.is_finite() {
             return Ok(());
         }
         if let Some(link) = self.links.get_mut(child) {
+            if number.zip(link.number).is_some_and(|(new, last)| new.is_before(last)) {
+                return Ok(());
+            }
             (link.transform, link.received, link.is_static) = (transform, now, is_static);
+            link.number = number;
             if link.parent != parent {
                 parent.clone_into(&mut link.parent);
             }
@@ -102,7 +127,7 @@ impl Frames {
             return Err(TooManyFrames(self.limit));
         } else {
             let parent = parent.to_owned();
-            let link = Link { parent, transform, received: now, is_static };
+            let link = Link { parent, transform, received: now, is_static, number };
             self.links.insert(child.to_owned(), link);
         }
         Ok(())
@@ -216,16 +241,16 @@ mod tests {
     #[test]
     fn the_newest_chain_leads_to_the_world_wherever_that_is() {
         let mut frames = Frames::new(MAX_ROBOT_FRAMES);
-        frames.receive(at(1), "earth", "map", shift(100.0), true).unwrap();
-        frames.receive(at(1), "map", "odom", shift(10.0), false).unwrap();
-        frames.receive(at(1), "odom", "base_link", shift(1.0), false).unwrap();
-        frames.receive(at(1), "earth", "utm", shift(7.0), true).unwrap();
+        frames.receive(at(1), "earth", "map", shift(100.0), true, None).unwrap();
+        frames.receive(at(1), "map", "odom", shift(10.0), false, None).unwrap();
+        frames.receive(at(1), "odom", "base_link", shift(1.0), false, None).unwrap();
+        frames.receive(at(1), "earth", "utm", shift(7.0), true, None).unwrap();
         for (world, expected) in
             [("odom", 1.0), ("map", 11.0), ("earth", 111.0), ("utm", 104.0), ("base_link", 0.0)]
         {
             assert_eq!(x(&frames, at(1), "base_link", world), Ok(expected), "{world}");
         }
-        frames.receive(at(2), "map", "odom", shift(20.0), false).unwrap();
+        frames.receive(at(2), "map", "odom", shift(20.0), false, None).unwrap();
         assert_eq!(x(&frames, at(2), "odom", "map"), Ok(20.0));
         assert_eq!(x(&frames, at(2), "map", "map"), Ok(0.0), "the world itself needs no transform");
     }
@@ -241,8 +266,8 @@ mod tests {
         let mut frames = Frames::new(MAX_ROBOT_FRAMES);
         let odom = Transform { translation: [100.0, 0.0, 0.0], rotation: quarter(2) };
         let base = Transform { translation: [0.0, 10.0, 0.0], rotation: quarter(0) };
-        frames.receive(at(1), "map", "odom", odom, false).unwrap();
-        frames.receive(at(1), "odom", "base_link", base, false).unwrap();
+        frames.receive(at(1), "map", "odom", odom, false, None).unwrap();
+        frames.receive(at(1), "odom", "base_link", base, false, None).unwrap();
         let near = |frame: &str, world: &str, expected: [f64; 3]| {
             let chain = frames.chain(at(1), frame, world, SECOND).unwrap();
             let point = Transform { translation: [1.0, 2.0, 3.0], rotation: Rotation::IDENTITY };
@@ -261,36 +286,63 @@ mod tests {
     #[test]
     fn a_frame_without_a_chain_and_an_old_one_are_refused() {
         let mut frames = Frames::new(MAX_ROBOT_FRAMES);
-        frames.receive(at(1), "odom", "base_link", shift(1.0), false).unwrap();
+        frames.receive(at(1), "odom", "base_link", shift(1.0), false, None).unwrap();
         let apart = x(&frames, at(1), "base_link", "map").unwrap_err().to_string();
         assert!(
             apart.contains("from the frame base_link to map; the chain ends at odom"),
             "{apart}"
         );
-        frames.receive(at(1), "map", "odom", shift(1.0), false).unwrap();
+        frames.receive(at(1), "map", "odom", shift(1.0), false, None).unwrap();
         let old = x(&frames, at(3), "odom", "map").unwrap_err().to_string();
         assert_eq!(old, "the transform of odom in map is 2.0 s old, more than 1 s");
-        frames.receive(at(1), "map", "odom", shift(1.0), true).unwrap();
+        frames.receive(at(1), "map", "odom", shift(1.0), true, None).unwrap();
         assert!(x(&frames, at(3), "odom", "map").is_ok(), "a static one grows not old");
     }
 
     #[test]
     fn circles_and_memory_are_bounded() {
         let mut frames = Frames::new(MAX_ROBOT_FRAMES);
-        frames.receive(at(1), "a", "b", shift(1.0), false).unwrap();
-        frames.receive(at(1), "b", "a", shift(1.0), false).unwrap();
-        frames.receive(at(1), "c", "c", shift(1.0), false).unwrap();
+        frames.receive(at(1), "a", "b", shift(1.0), false, None).unwrap();
+        frames.receive(at(1), "b", "a", shift(1.0), false, None).unwrap();
+        frames.receive(at(1), "c", "c", shift(1.0), false, None).unwrap();
         assert!(matches!(x(&frames, at(1), "a", "map"), Err(ChainError::Circle(_))));
         assert_eq!(frames.len(), 2, "no frame is its own parent");
-        frames.receive(at(1), "map", "lidar", shift(1.0), true).unwrap();
+        frames.receive(at(1), "map", "lidar", shift(1.0), true, None).unwrap();
         frames.forget(at(9), SECOND, None);
         assert_eq!(frames.len(), 1);
         frames.forget(at(9), SECOND, Some(8 * SECOND));
         assert_eq!(frames.len(), 1, "it has eight seconds");
         frames.forget(at(10), SECOND, Some(8 * SECOND));
         assert_eq!(frames.len(), 0, "nor does a static one stay for ever, where it may not");
-        frames.receive(at(1), "map", "lidar", shift(1.0), true).unwrap();
-        frames.receive(at(1), "map", "far", shift(f64::NAN), true).unwrap();
+        frames.receive(at(1), "map", "lidar", shift(1.0), true, None).unwrap();
+        frames.receive(at(1), "map", "far", shift(f64::NAN), true, None).unwrap();
         assert_eq!(frames.len(), 1);
+    }
+
+    #[test]
+    fn a_transform_that_comes_late_replaces_no_newer_one_of_its_publisher() {
+        let number =
+            |publisher: u8, sequence| Some(Number { publisher: Gid([publisher; 16]), sequence });
+        let mut frames = Frames::new(MAX_ROBOT_FRAMES);
+        let mut put = |seconds, shifted, number| {
+            frames.receive(at(seconds), "map", "odom", shift(shifted), false, number).unwrap();
+            x(&frames, at(seconds), "odom", "map").unwrap()
+        };
+        assert_eq!(put(1, 1.0, number(1, 5)), 1.0);
+        assert_eq!(put(1, 2.0, number(1, 4)), 1.0, "it was put before");
+        assert_eq!(put(1, 3.0, number(1, 5)), 3.0, "a kept one comes again");
+        assert_eq!(put(1, 4.0, number(1, 6)), 4.0);
+        assert_eq!(put(1, 5.0, number(2, 1)), 5.0, "another publisher counts by itself");
+        assert_eq!(put(1, 6.0, None), 6.0);
+        assert_eq!(put(1, 7.0, number(1, 1)), 7.0);
+    }
+
+    #[test]
+    fn a_late_transform_makes_none_younger() {
+        let number = |sequence| Some(Number { publisher: Gid([1; 16]), sequence });
+        let mut frames = Frames::new(MAX_ROBOT_FRAMES);
+        frames.receive(at(1), "map", "odom", shift(1.0), false, number(5)).unwrap();
+        frames.receive(at(3), "map", "odom", shift(1.0), false, number(4)).unwrap();
+        assert!(matches!(x(&frames, at(3), "odom", "map"), Err(ChainError::Old { .. })));
     }
 }

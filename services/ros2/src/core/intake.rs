@@ -4,16 +4,17 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
+use muster_model::bridge::TopicFault;
 use muster_model::id::RobotId;
 use muster_model::observation::{CheckedReport, Report};
 use muster_model::time::Tick;
 use muster_ros::key::parse_dds_key;
-use muster_ros::{Attachment, Dialect, TopicKey, TypeHash, Value, cdr};
+use muster_ros::{Attachment, Dialect, Gid, TopicKey, TypeHash, Value, cdr};
 use muster_wire::{Packet, Source};
 
 use super::extract::{self, Problem, Stamped};
-use super::frames::{Frames, MAX_ROBOT_FRAMES, MAX_SHARED_FRAMES};
-use super::robots::{Robots, Stream};
+use super::frames::{Frames, MAX_ROBOT_FRAMES, MAX_SHARED_FRAMES, Number};
+use super::robots::{Robots, SWITCH_AFTER, Stream};
 use crate::config::{Content, Setup};
 
 /// Most topics of robots that are read: a fleet of 5,000 robots has four each.
@@ -42,7 +43,7 @@ pub(super) struct Refused {
     /// Its key.
     pub(super) key: String,
     /// Why.
-    pub(super) reason: String,
+    pub(super) problem: Problem,
 }
 
 /// One topic of one robot, or one that all share.
@@ -59,8 +60,73 @@ struct Topic {
     last: Tick,
     /// The newest sample that is not taken yet.
     waiting: Option<Waiting>,
+    authors: Authors,
     /// The key in its parts; none with a bridge of DDS.
     key: Option<TopicKey>,
+}
+
+/// Most publishers of one topic that are remembered as replaced: of more, two programs alternate in any case.
+const MAX_REPLACED: usize = 8;
+
+/// How many messages in a row may be late. A network reorders a few; a program that numbers by hand may give all one number.
+const MAX_LATE: u32 = 10;
+
+/// Messages that come again more rarely than this are kept by their publisher, and were asked for.
+const KEPT_EVERY: Duration = Duration::from_secs(5);
+
+/// The publishers of a topic of one robot. One counts at a time: the last that appeared, since a robot that starts again has
+/// a publisher of another name. One that was replaced and goes on alternates with the other, and is refused while that one is
+/// heard, as `ingest` would.
+#[derive(Debug, Default)]
+struct Authors {
+    current: Option<Author>,
+    replaced: Vec<Gid>,
+}
+
+#[derive(Debug)]
+struct Author {
+    gid: Gid,
+    /// The number of its newest message.
+    sequence: i64,
+    /// How many messages in a row were none newer, but for those that are kept.
+    late: u32,
+    last: Tick,
+}
+
+impl Authors {
+    /// Whether a message is the newest of the publisher that counts. One that is kept comes again and again, and one may
+    /// come late.
+    fn accept(&mut self, now: Tick, attachment: &Attachment) -> Result<bool, String> {
+        let Attachment { gid, sequence, .. } = *attachment;
+        if let Some(current) = &mut self.current {
+            if current.gid == gid {
+                let pause = now.since(std::mem::replace(&mut current.last, now));
+                let is_newer = sequence > current.sequence;
+                if is_newer {
+                    (current.sequence, current.late) = (sequence, 0);
+                } else if pause < KEPT_EVERY {
+                    current.late += 1;
+                }
+                return if current.late < MAX_LATE {
+                    Ok(is_newer)
+                } else {
+                    Err(format!("the numbers of its publisher do not grow: {sequence} came again"))
+                };
+            }
+            if now.since(current.last) > SWITCH_AFTER {
+                self.replaced.clear();
+            } else if self.replaced.contains(&gid) {
+                return Err(format!(
+                    "two programs publish this topic: {}, which came last, counts, and {gid} does not; end one of them",
+                    current.gid
+                ));
+            } else if self.replaced.len() < MAX_REPLACED {
+                self.replaced.push(current.gid);
+            }
+        }
+        self.current = Some(Author { gid, sequence, late: 0, last: now });
+        Ok(true)
+    }
 }
 
 /// A topic that is read from now on, or no longer.
@@ -131,14 +197,14 @@ impl Intake {
         if from != Source::Put {
             return Ok(());
         }
-        let refuse = |reason: String| Refused { key: key.clone(), reason };
-        let payload =
-            payload.map_err(|size| refuse(format!("{size} bytes are too many for one message")))?;
+        let refuse = |problem: Problem| Refused { key: key.clone(), problem };
+        let payload = payload
+            .map_err(|size| refuse(format!("{size} bytes are too many for one message").into()))?;
         let attachment = match self.setup.dialect {
             Dialect::Ros2Dds => None,
             Dialect::RmwZenoh => Some(attachment.map_or_else(
-                || Err(refuse(NO_ATTACHMENT.to_owned())),
-                |bytes| parse_attachment(bytes.as_bytes()).map_err(&refuse),
+                || Err(refuse(Problem::new(TopicFault::NoAttachment, NO_ATTACHMENT))),
+                |bytes| parse_attachment(bytes.as_bytes()).map_err(|text| refuse(text.into())),
             )?),
         };
         if !self.topics.contains_key(&key) {
@@ -152,16 +218,23 @@ impl Intake {
         let Some(description) = setup.sources.get(topic.source) else { return Ok(()) };
         if let Content::Transforms { is_static } = description.content {
             let value = cdr::decode(&description.layout, &payload);
-            let value = value.map_err(|error| refuse(error.to_string()))?;
+            let value = value.map_err(|error| refuse(error.to_string().into()))?;
             let limit = if topic.robot.is_some() { MAX_ROBOT_FRAMES } else { MAX_SHARED_FRAMES };
             let frames = self.frames.entry((topic.domain, topic.name.clone()));
             let frames = frames.or_insert_with(|| Frames::new(limit));
-            return take_transforms(now, frames, &value, is_static).map_err(&refuse);
+            let number = attachment.map(|a| Number { publisher: a.gid, sequence: a.sequence });
+            let taken = take_transforms(now, frames, &value, is_static, number);
+            return taken.map_err(|text| refuse(text.into()));
+        }
+        if let Some(attachment) = &attachment
+            && !topic.authors.accept(now, attachment).map_err(|text| refuse(text.into()))?
+        {
+            return Ok(());
         }
         let replaced = topic.waiting.as_ref().map_or(0, |waiting| waiting.payload.len());
         let bytes = self.waiting_bytes.saturating_sub(replaced).saturating_add(payload.len());
         if bytes > MAX_WAITING_BYTES {
-            return Err(refuse(format!("more than {MAX_WAITING_BYTES} bytes may not wait")));
+            return Err(refuse(format!("more than {MAX_WAITING_BYTES} bytes may not wait").into()));
         }
         self.waiting_bytes = bytes;
         topic.waiting = Some(Waiting { payload, attachment });
@@ -169,20 +242,21 @@ impl Intake {
     }
 
     /// The topic of a key that was not seen before.
-    fn open(&mut self, now: Tick, source: usize, key: &str) -> Result<Topic, String> {
+    fn open(&mut self, now: Tick, source: usize, key: &str) -> Result<Topic, Problem> {
         let description = self.setup.sources.get(source).ok_or("this is no source")?;
         let (topic, parsed) = match self.setup.dialect {
             Dialect::RmwZenoh => {
                 let parsed = TopicKey::parse(key).map_err(|error| error.to_string())?;
                 if parsed.type_name != *description.layout.name() {
-                    return Err(format!("the type is {}", parsed.type_name));
+                    return Err(format!("the type is {}", parsed.type_name).into());
                 }
                 if parsed.hash != description.hash && parsed.hash != TypeHash::NotSupported {
-                    return Err(format!(
+                    let reason = format!(
                         "the robot has another definition of {} than this bridge: its hash is {}, not {}; add its .msg \
                          text as definition",
                         parsed.type_name, parsed.hash, description.hash
-                    ));
+                    );
+                    return Err(Problem::new(TopicFault::TypeHash, reason));
                 }
                 (parsed.topic.clone(), Some(parsed))
             }
@@ -200,11 +274,22 @@ impl Intake {
         let name = description.topic.robot_of(topic.as_str()).ok_or("this is another topic")?;
         let domain = parsed.as_ref().map_or(0, |key| key.domain);
         if self.topics.len() >= MAX_KEYS {
-            return Err(format!("more than {MAX_KEYS} topics are not read"));
+            return Err(format!("more than {MAX_KEYS} topics are not read").into());
         }
         let robot = (!name.is_empty()).then(|| self.robots.join(name, domain)).transpose()?;
         let name = name.to_owned();
-        Ok(Topic { source, name, domain, robot, first: now, last: now, waiting: None, key: parsed })
+        let authors = Authors::default();
+        Ok(Topic {
+            source,
+            name,
+            domain,
+            robot,
+            first: now,
+            last: now,
+            waiting: None,
+            authors,
+            key: parsed,
+        })
     }
 
     /// The reports of the newest samples that were not taken yet, and what is refused of them.
@@ -244,8 +329,8 @@ impl Intake {
                     self.robots.reported(now, robot, stream, topic.source);
                     reports.push(report);
                 }
-                Err(problem) if problem.may_pass && now.since(topic.first) <= START_TIME => {}
-                Err(Problem { reason, .. }) => refused.push(Refused { key: key.clone(), reason }),
+                Err(problem) if problem.may_pass() && now.since(topic.first) <= START_TIME => {}
+                Err(problem) => refused.push(Refused { key: key.clone(), problem }),
             }
         }
         self.forget(now);
@@ -315,12 +400,13 @@ fn take_transforms(
     frames: &mut Frames,
     message: &Value,
     is_static: bool,
+    number: Option<Number>,
 ) -> Result<(), String> {
     let mut problem = Ok(());
     for transform in extract::transforms(message)? {
         let taken = transform.and_then(|named| {
             let extract::NamedTransform { parent, child, transform } = named;
-            let taken = frames.receive(now, parent, child, transform, is_static);
+            let taken = frames.receive(now, parent, child, transform, is_static, number);
             taken.map_err(|error| error.to_string())
         });
         problem = problem.and(taken);

@@ -5,6 +5,7 @@ pub mod frames;
 pub mod geometry;
 mod intake;
 mod outgoing;
+mod phase;
 mod publishers;
 mod refusals;
 mod robots;
@@ -13,6 +14,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_model::audit::Audit;
+use muster_model::bridge::{BridgeState, MAX_REFUSED_TOPICS, RefusedTopic, TopicFault};
 use muster_model::id::{InstanceId, RobotId};
 use muster_model::observation::{Rank, Report};
 use muster_model::roster::Roster;
@@ -22,6 +24,7 @@ use muster_wire::{Attachment, Packet};
 
 use self::intake::Intake;
 use self::outgoing::Outgoing;
+use self::phase::Phase;
 use self::publishers::Publishers;
 pub use self::refusals::Refusal;
 use self::refusals::Refusals;
@@ -70,6 +73,8 @@ pub enum Output {
     Withdraw(String),
     /// Say why something of ROS is not taken.
     Refused(Refusal),
+    /// Let the next tick come so many seconds later, or sooner if that is negative, and those after it from there.
+    Shift(f64),
 }
 
 /// What has been counted since the start.
@@ -91,8 +96,9 @@ pub struct Bridge {
     refusals: Refusals,
     publishers: Publishers,
     outgoing: Outgoing,
-    /// Names this run in reports that have no publisher's number.
-    boot: String,
+    phase: Phase,
+    /// Names this run, also in reports that have no publisher's number.
+    instance: InstanceId,
     /// How many ranks have been put.
     ranks_put: u64,
     ranks_due: Tick,
@@ -108,7 +114,8 @@ impl Bridge {
             refusals: Refusals::default(),
             publishers: Publishers::new(&setup, session),
             outgoing: Outgoing::default(),
-            boot: instance.to_string(),
+            phase: Phase::default(),
+            instance: instance.clone(),
             ranks_put: 0,
             ranks_due: Tick::default(),
             counts: Counts::default(),
@@ -143,8 +150,9 @@ impl Bridge {
                 Vec::new()
             }
             Input::Roster(roster) => {
+                let shift = self.phase.shift(self.setup.every, &roster, self.intake.robots());
                 self.outgoing.set_roster(roster);
-                Vec::new()
+                shift.map(Output::Shift).into_iter().collect()
             }
         }
     }
@@ -153,6 +161,25 @@ impl Bridge {
     #[must_use]
     pub fn counts(&self) -> Counts {
         self.counts
+    }
+
+    /// What this bridge says of itself.
+    #[must_use]
+    pub fn state(&self) -> BridgeState {
+        let topic = |(topic, fault, reason): (&str, TopicFault, &str)| RefusedTopic {
+            topic: topic.to_owned(),
+            fault,
+            reason: reason.to_owned(),
+        };
+        BridgeState {
+            instance: self.instance.clone(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            robots: self.intake.robots().len() as u64,
+            received: self.counts.received,
+            reported: self.counts.reported,
+            refused_topics: self.refusals.len() as u64,
+            refused: self.refusals.iter().take(MAX_REFUSED_TOPICS).map(topic).collect(),
+        }
     }
 
     /// Robots that ROS has brought lately.
@@ -184,7 +211,7 @@ impl Bridge {
     /// Superiors that never change, of the robots that report and do not name theirs themselves.
     fn ranks(&mut self, now: Tick) -> Vec<Output> {
         self.ranks_put += 1;
-        let (boot, seq) = (Some(self.boot.clone()), Some(self.ranks_put));
+        let (boot, seq) = (Some(self.instance.to_string()), Some(self.ranks_put));
         let robots = self.intake.robots();
         let there = self.setup.ranks.iter().filter(|(robot, _)| {
             robots.has_reported(now, robot, REPORTED_WITHIN) && !robots.has_rank(robot)

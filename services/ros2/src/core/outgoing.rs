@@ -321,7 +321,7 @@ impl Shown<'_> {
             count => (level::WARN, format!("{count} topics are not taken")),
         };
         let reasons = self.refusals.iter().take(MAX_REASONS);
-        let reasons = reasons.map(|(key, reason)| (key, reason.to_owned())).collect();
+        let reasons = reasons.map(|(key, _, reason)| (key, reason.to_owned())).collect();
         self.status("muster: topics".to_owned(), level, message, reasons)
     }
 

@@ -3,9 +3,11 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use muster_model::bridge::TopicFault;
 use muster_model::time::Tick;
 use muster_wire::message::quoted;
 
+use super::extract::Problem;
 use super::intake::Refused;
 
 /// How often the same topic is complained of.
@@ -22,6 +24,8 @@ const MAX_TOPICS: usize = 1024;
 pub struct Refusal {
     /// The key of the topic, cut short, without control characters.
     pub key: String,
+    /// What is wrong, for programs.
+    pub fault: TopicFault,
     /// What is wrong, and what would be right.
     pub reason: String,
     /// How many samples were not taken since this was last said.
@@ -30,6 +34,7 @@ pub struct Refusal {
 
 #[derive(Debug)]
 struct Kept {
+    fault: TopicFault,
     reason: String,
     last: Tick,
     said: Tick,
@@ -45,25 +50,25 @@ pub(super) struct Refusals {
 impl Refusals {
     /// Notes a refusal; it is returned if it is to be said.
     pub(super) fn add(&mut self, now: Tick, refused: Refused) -> Option<Refusal> {
-        let Refused { key, reason } = refused;
+        let Refused { key, problem: Problem { fault, reason } } = refused;
         let key = quoted(&key);
         if let Some(kept) = self.topics.get_mut(&key) {
             kept.count += 1;
             kept.last = now;
-            kept.reason = reason;
+            (kept.fault, kept.reason) = (fault, reason);
             if now.since(kept.said) < SAY_EVERY {
                 return None;
             }
             kept.said = now;
             let (count, reason) = (std::mem::take(&mut kept.count), kept.reason.clone());
-            return Some(Refusal { key, reason, count });
+            return Some(Refusal { key, fault, reason, count });
         }
         if self.topics.len() >= MAX_TOPICS {
             return None;
         }
-        let kept = Kept { reason: reason.clone(), last: now, said: now, count: 0 };
+        let kept = Kept { fault, reason: reason.clone(), last: now, said: now, count: 0 };
         self.topics.insert(key.clone(), kept);
-        Some(Refusal { key, reason, count: 1 })
+        Some(Refusal { key, fault, reason, count: 1 })
     }
 
     /// Drops what has not applied for a while.
@@ -76,8 +81,8 @@ impl Refusals {
         self.topics.len()
     }
 
-    /// Topics and reasons that apply now, by the order of the topics.
-    pub(super) fn iter(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.topics.iter().map(|(key, kept)| (key.as_str(), kept.reason.as_str()))
+    /// Topics and what is wrong with them now, by the order of the topics.
+    pub(super) fn iter(&self) -> impl Iterator<Item = (&str, TopicFault, &str)> {
+        self.topics.iter().map(|(key, kept)| (key.as_str(), kept.fault, kept.reason.as_str()))
     }
 }

@@ -92,6 +92,9 @@ fn resolve(
             check_endpoint(endpoint).map_err(|error| wrong(path, &format!("connect: {error}")))?;
         }
         ros.connect = Choice::chosen(file.connect.clone());
+        // Zenoh's own configuration is for the bus of the fleet: a secured one allows no other protocol, and programs of ROS have
+        // no certificates.
+        ros.zenoh_config = None;
     }
     Ok(Ros2Options { setup, ros })
 }

@@ -4,9 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use muster_client::{Client, Config, Mode};
+use muster_client::{BridgeGets, Client, Config, Mode};
 use muster_model::time::Tick;
-use muster_ros::Dialect;
 use muster_runtime::bus::{Bus, BusConfig, ConnectTimeout, Subscription, Token, Urgency};
 use muster_runtime::clock::Clock;
 use muster_runtime::config::{self, Origin, ProcessConfig};
@@ -14,18 +13,19 @@ use muster_runtime::instance::instance_name;
 use muster_runtime::notify;
 use muster_runtime::observe::Observatory;
 use muster_runtime::stop::Stop;
-use muster_wire::{ForeignKey, ForeignPattern, Key, Packet};
+use muster_wire::{ForeignKey, Key, Packet};
+use tokio::time::Instant;
 
 use super::options::Ros2Options;
 use super::queue::SendQueue;
-use crate::config::{Content, Setup, Source};
+use crate::config::{Content, Setup};
 use crate::core::{Bridge, Input, Output};
 
 /// Largest message of ROS in bytes that is read: transforms of a thousand frames.
 const MAX_SAMPLE_BYTES: usize = 256 * 1024;
 
-/// How often publishers are asked for the static transforms that they keep: one that was lost with a link is there again
-/// before an operator looks.
+/// How often publishers are asked for the static transforms, links and superiors that they keep: one that was lost with a link
+/// is there again before an operator looks.
 const ASK_KEPT_EVERY: Duration = Duration::from_secs(10);
 
 /// When a process that waits for its router counts as started.
@@ -44,22 +44,6 @@ fn client_config(config: &ProcessConfig) -> Config {
         mode: if config.mode.value == config::Mode::Peer { Mode::Peer } else { Mode::Client },
         listen: config.listen.value.clone(),
         ..Config::default()
-    }
-}
-
-/// The key expressions of a source: any hash, so that a robot with another one is seen and refused.
-fn patterns(setup: &Setup, source: &Source) -> Vec<String> {
-    let robots = source.topic.with("*");
-    match setup.dialect {
-        Dialect::RmwZenoh => {
-            let type_name = source.layout.name().to_dds();
-            let domains = setup.domains.iter();
-            domains.map(|domain| format!("{domain}/{robots}/{type_name}/*")).collect()
-        }
-        Dialect::Ros2Dds => match &setup.namespace {
-            Some(namespace) => vec![format!("{}/{robots}", namespace.as_str())],
-            None => vec![robots],
-        },
     }
 }
 
@@ -114,7 +98,8 @@ pub(super) async fn run(
     };
     drop(watched);
     let setup = Arc::new(options.setup);
-    let bridge = Bridge::new(Arc::clone(&setup), &ros.session_id(), &instance_name());
+    let instance = instance_name();
+    let bridge = Bridge::new(Arc::clone(&setup), &ros.session_id(), &instance);
     let shared = Arc::new(Shared { bridge: Mutex::new(bridge), clock: Clock::start() });
     let queue = SendQueue::default();
     let sending = ros.clone();
@@ -123,13 +108,14 @@ pub(super) async fn run(
             tracing::debug!("{error:#}");
         }
     })?;
+    let gets = client.serve_bridge(&instance).await?;
     let mut hands = Hands { client, ros, queue, tokens: BTreeMap::new() };
     let outputs = shared.bridge().start();
     hands.perform(outputs).await;
     let subscriptions = subscribe(&hands.ros, &setup, &shared).await?;
     let asking = tokio::spawn(ask_kept(hands.ros.clone(), Arc::clone(&setup), Arc::clone(&shared)));
     notify::ready(&format!("reads {} kinds of topics of ROS", setup.sources.len()));
-    let result = turn(&mut hands, &shared, &observatory, setup.every, &mut stop).await;
+    let result = turn(&mut hands, gets, &shared, &observatory, setup.every, &mut stop).await;
     asking.abort();
     drop(subscriptions);
     notify::stopping().await;
@@ -157,6 +143,7 @@ async fn open(config: &Config, ros: BusConfig) -> anyhow::Result<(Client, Bus)> 
 
 async fn turn(
     hands: &mut Hands,
+    mut gets: BridgeGets,
     shared: &Shared,
     observatory: &Observatory,
     every: Duration,
@@ -166,8 +153,7 @@ async fn turn(
     let mut audits = hands.client.audits().await?;
     let mut rosters = hands.client.rosters().await?;
     let mut watched = notify::watch();
-    let mut ticks = tokio::time::interval(every);
-    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
+    let mut next_tick = Instant::now();
     loop {
         let input = tokio::select! {
             () = stop.stopped() => return Ok(()),
@@ -175,7 +161,9 @@ async fn turn(
                 watched.report();
                 continue;
             }
-            _ = ticks.tick() => {
+            () = tokio::time::sleep_until(next_tick) => {
+                // Ticks that were missed are left out.
+                next_tick = (next_tick + every).max(Instant::now());
                 // Who asks for the health of the process is answered by this loop.
                 observatory.router_turned();
                 // The same division again has younger data behind it.
@@ -186,6 +174,11 @@ async fn turn(
                 }
                 Input::Tick
             }
+            get = gets.next() => {
+                let state = shared.bridge().state();
+                get.answer(state);
+                continue;
+            }
             latest = teams.changed() => {
                 let latest = latest?;
                 Input::Teams(latest.value, latest.stale.is_some())
@@ -195,6 +188,17 @@ async fn turn(
         };
         let now = shared.now();
         let outputs = shared.bridge().handle(now, input);
+        for output in &outputs {
+            if let Output::Shift(seconds) = output {
+                let shift = Duration::from_secs_f64(seconds.abs());
+                let shifted = if *seconds < 0.0 {
+                    next_tick.checked_sub(shift)
+                } else {
+                    next_tick.checked_add(shift)
+                };
+                next_tick = shifted.unwrap_or(next_tick);
+            }
+        }
         hands.perform(outputs).await;
     }
 }
@@ -207,17 +211,25 @@ async fn subscribe(
 ) -> anyhow::Result<Vec<Subscription>> {
     let mut subscriptions = Vec::new();
     for (number, source) in setup.sources.iter().enumerate() {
-        for text in patterns(setup, source) {
-            let pattern = ForeignPattern::new(text)?;
+        for pattern in &source.patterns {
             let shared = Arc::clone(shared);
             let receive = move |packet| shared.receive(number, packet);
-            subscriptions.push(ros.listen_foreign(&pattern, MAX_SAMPLE_BYTES, receive).await?);
+            subscriptions.push(ros.listen_foreign(pattern, MAX_SAMPLE_BYTES, receive).await?);
         }
     }
     Ok(subscriptions)
 }
 
-/// Asks for the static transforms that publishers keep, again and again.
+/// Whether publishers may keep what is said once for those that come late: what holds until something else is said.
+fn is_kept(content: &Content) -> bool {
+    match content {
+        Content::Transforms { is_static } => *is_static,
+        Content::Links { .. } | Content::Rank { .. } => true,
+        Content::Pose { .. } => false,
+    }
+}
+
+/// Asks for what publishers keep, again and again.
 async fn ask_kept(ros: Bus, setup: Arc<Setup>, shared: Arc<Shared>) {
     let mut rounds = tokio::time::interval(ASK_KEPT_EVERY);
     let mut link = ros.link();
@@ -229,12 +241,11 @@ async fn ask_kept(ros: Bus, setup: Arc<Setup>, shared: Arc<Shared>) {
             },
         }
         for (number, source) in setup.sources.iter().enumerate() {
-            if !matches!(source.content, Content::Transforms { is_static: true }) {
+            if !is_kept(&source.content) {
                 continue;
             }
-            for text in patterns(&setup, source) {
-                let Ok(pattern) = ForeignPattern::new(text) else { continue };
-                match ros.get_kept(&pattern, MAX_SAMPLE_BYTES, ASK_KEPT_WITHIN).await {
+            for pattern in &source.patterns {
+                match ros.get_kept(pattern, MAX_SAMPLE_BYTES, ASK_KEPT_WITHIN).await {
                     Ok(kept) => kept.into_iter().for_each(|packet| shared.receive(number, packet)),
                     Err(error) => tracing::debug!("{error:#}"),
                 }
@@ -274,7 +285,7 @@ impl Hands {
                         tracing::debug!("{error:#}");
                     }
                 }
-                Output::Refused(_) => {}
+                Output::Refused(_) | Output::Shift(_) => {}
             }
         }
     }

@@ -11,6 +11,7 @@ mod limits;
 mod robots;
 mod world;
 
+use muster_model::bridge::TopicFault;
 use muster_model::id::RobotId;
 use muster_model::observation::{Links, Rank, Report};
 use muster_ros::{Attachment, Catalog, Token, TypeName, Value};
@@ -303,4 +304,40 @@ fn publishers_have_tokens_and_number_what_they_put() {
         assert_eq!(world.bridge.handle(world.now, Input::Tick), [], "not twice at one moment");
         world.pass(1.0);
     }
+}
+
+#[test]
+fn the_bridge_tells_what_it_refuses_each_with_its_fault() {
+    let mut world = World::new("");
+    let message = world.odometry("odom", 1.0, 2.0);
+    let source = world.source("r1/odom");
+    let bare = Packet::put(World::key(&message, "r1/odom"), "", message.encode().unwrap());
+    let _ = world.bridge.handle(world.now, Input::Sample(source, bare));
+    let key = World::key(&message, "r2/odom");
+    let other = world.packet(key.replace("RIHS01_", "RIHS01_00")[..key.len()].to_owned(), &message);
+    let _ = world.bridge.handle(world.now, Input::Sample(source, other));
+    world.put("r3/odom", &message);
+    world.localise("r4/tf", "map", "odom");
+    world.tick();
+    world.pass(5.0);
+    world.put("r3/odom", &message);
+    world.put("r4/odom", &message);
+    world.tick();
+    let state = world.bridge.state();
+    let faults: Vec<_> = state
+        .refused
+        .iter()
+        .map(|one| (one.topic.split('/').nth(1).unwrap().to_owned(), one.fault))
+        .collect();
+    let expected = [
+        ("r1", TopicFault::NoAttachment),
+        ("r2", TopicFault::TypeHash),
+        ("r3", TopicFault::NoChain),
+        ("r4", TopicFault::OldTransform),
+    ];
+    assert_eq!(faults, expected.map(|(robot, fault)| (robot.to_owned(), fault)));
+    assert_eq!((state.refused_topics, state.received, state.instance.as_str()), (4, 6, "host-1"));
+    world.pass(60.0);
+    world.tick();
+    assert_eq!(world.bridge.state().refused, [], "what is over is not told");
 }

@@ -1,11 +1,11 @@
 //! Which robots are there, and by which of their topics.
 
 use muster_model::observation::Report;
-use muster_ros::Value;
+use muster_ros::{Gid, Value};
 use muster_ros2::core::{Input, Output};
 use muster_wire::Packet;
 
-use super::world::{World, near};
+use super::world::{GID, World, near};
 
 /// Ticks each second.
 fn idle(world: &mut World, seconds: u32) -> Vec<(String, Report)> {
@@ -192,4 +192,112 @@ fn the_number_of_a_publisher_is_not_negative() {
         assert!(refusal.reason.contains("number"), "{}", refusal.reason);
         assert_eq!(world.tick().0, []);
     }
+}
+
+/// The number of a message of ROS: seconds and nanoseconds.
+fn stamp(seconds: i32) -> Value {
+    Value::Struct(vec![Value::from(seconds), Value::from(0_u32)])
+}
+
+#[test]
+fn wrong_clocks_change_no_order() {
+    let mut world = World::new("");
+    // Each message is newer than the one before, and its clock says that it is older: from the future to the past.
+    for (round, seconds) in
+        [2_000_000_000, 1_000_000_000, 0, -1_000_000_000].into_iter().enumerate()
+    {
+        let x = round as f64;
+        world.stamp_ns = i64::from(seconds) * 1_000_000_000;
+        let mut tf = world.transform("map", "odom", 10.0 * x, turn(1.0));
+        tf.set("transforms[0].header.stamp", stamp(seconds)).unwrap();
+        world.put("r1/tf", &tf);
+        let mut odometry = world.odometry("odom", x, 0.0);
+        odometry.set("header.stamp", stamp(seconds)).unwrap();
+        world.put("r1/odom", &odometry);
+        near(&world.pose(), 11.0 * x, 0.0, Some(0.0));
+        world.pass(0.1);
+    }
+    // What comes late is the older one, whatever its clock says.
+    let newest = world.sequence;
+    world.stamp_ns = i64::MAX;
+    let late = world.transform("map", "odom", 500.0, turn(1.0));
+    world.sequence = 0;
+    world.put("r1/tf", &late);
+    let late = world.odometry("odom", 500.0, 0.0);
+    world.sequence = 0;
+    world.put("r1/odom", &late);
+    assert_eq!(world.tick().0, [], "the odometry is older than that before");
+    world.sequence = newest;
+    let odometry = world.odometry("odom", 3.0, 0.0);
+    world.put("r1/odom", &odometry);
+    near(&world.pose(), 33.0, 0.0, Some(0.0));
+}
+
+#[test]
+fn of_two_publishers_that_alternate_the_one_that_came_last_counts_and_this_is_said_once() {
+    let mut world = World::new("");
+    let (first, second) = (GID, Gid([9; 16]));
+    let (own, other) = (world.odometry("map", 1.0, 0.0), world.odometry("map", 2.0, 0.0));
+    world.put("r1/odom", &own);
+    near(&world.pose(), 1.0, 0.0, Some(0.0));
+    // A robot that starts again has another publisher, which is believed at once.
+    world.gid = second;
+    world.put("r1/odom", &other);
+    near(&world.pose(), 2.0, 0.0, Some(0.0));
+    let mut said = Vec::new();
+    for _ in 0..20 {
+        world.pass(0.1);
+        world.gid = first;
+        said.extend(world.put("r1/odom", &own));
+        world.gid = second;
+        said.extend(world.put("r1/odom", &other));
+        let pose = world.pose();
+        near(&pose, 2.0, 0.0, Some(0.0));
+        assert_eq!(pose.boot, Some(second.to_string()));
+    }
+    let [Output::Refused(refusal)] = &said[..] else { panic!("{said:?}") };
+    assert!(refusal.reason.contains("two programs publish this topic"), "{}", refusal.reason);
+    // The one that is left is believed once the other has been silent for a while.
+    world.gid = first;
+    for _ in 0..40 {
+        world.pass(0.1);
+        world.put("r1/odom", &own);
+    }
+    near(&world.pose(), 1.0, 0.0, Some(0.0));
+}
+
+#[test]
+fn a_publisher_whose_numbers_do_not_grow_is_refused() {
+    let mut world = World::new("");
+    let message = world.odometry("map", 1.0, 0.0);
+    let mut said = Vec::new();
+    for _ in 0..30 {
+        world.sequence = 0;
+        said.extend(world.put("r1/odom", &message));
+        world.pass(0.1);
+    }
+    let [Output::Refused(refusal)] = &said[..] else { panic!("{said:?}") };
+    assert!(refusal.reason.contains("do not grow"), "{}", refusal.reason);
+}
+
+#[test]
+fn what_a_publisher_keeps_is_reported_once_however_often_it_is_asked_for() {
+    let mut world = World::new(
+        r#"
+        [[rank]]
+        topic = "/{robot}/superior"
+        type = "std_msgs/String"
+        superior = "data"
+        "#,
+    );
+    let mut superior = world.message("std_msgs/String");
+    superior.set("data", "r1").unwrap();
+    let mut reports = 0;
+    for _ in 0..5 {
+        world.sequence = 0;
+        world.put("r2/superior", &superior);
+        reports += ranks(&idle(&mut world, 10));
+    }
+    assert_eq!(reports, 1);
+    assert_eq!(world.bridge.robots().len(), 1, "its publisher is there");
 }

@@ -19,6 +19,10 @@ pub(super) struct World {
     pub(super) bridge: Bridge,
     pub(super) now: Tick,
     pub(super) sequence: i64,
+    /// The publisher of everything that is put from now on.
+    pub(super) gid: Gid,
+    /// What its clock shows.
+    pub(super) stamp_ns: i64,
 }
 
 pub(super) fn quarter_turn() -> Value {
@@ -32,7 +36,14 @@ impl World {
         let setup = Arc::new(file.check().unwrap());
         let instance = InstanceId::new("host-1").unwrap();
         let bridge = Bridge::new(Arc::clone(&setup), "abc", &instance);
-        Self { setup, bridge, now: Tick(0).after(Duration::from_secs(1000)), sequence: 0 }
+        Self {
+            setup,
+            bridge,
+            now: Tick(0).after(Duration::from_secs(1000)),
+            sequence: 0,
+            gid: GID,
+            stamp_ns: 0,
+        }
     }
 
     pub(super) fn pass(&mut self, seconds: f64) {
@@ -50,7 +61,8 @@ impl World {
 
     pub(super) fn packet(&mut self, key: String, message: &Message) -> Packet {
         self.sequence += 1;
-        let attachment = Attachment { sequence: self.sequence, stamp_ns: 0, gid: GID };
+        let attachment =
+            Attachment { sequence: self.sequence, stamp_ns: self.stamp_ns, gid: self.gid };
         let attachment = muster_wire::Attachment::new(attachment.to_bytes()).ok();
         Packet { attachment, ..Packet::put(key, "", message.encode().unwrap()) }
     }

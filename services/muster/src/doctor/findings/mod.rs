@@ -2,12 +2,14 @@
 
 mod division;
 mod robots;
+mod ros;
 mod router;
 mod services;
 
 use muster_model::replay::is_replay;
 use serde::Serialize;
 
+pub(super) use self::ros::{RosPrograms, unannounced};
 pub(super) use self::router::{of_endpoint, session};
 use super::look::Look;
 use crate::show::page::names;
@@ -65,13 +67,14 @@ fn warning(id: &'static str, seen: impl Into<String>, remedy: impl Into<String>)
 
 /// Everything that is wrong with a fleet.
 pub(super) fn of_fleet(look: &Look) -> Vec<Finding> {
-    let mut found = Vec::new();
+    let mut found: Vec<_> = ros::old_routers(&look.routers).into_iter().collect();
     if look.instances.is_empty()
         && look.tokens.is_empty()
         && let Some(wrong) = wrong_fleet(look)
     {
         // Nothing else can be found in a fleet that is not there.
-        return vec![wrong];
+        found.push(wrong);
+        return found;
     }
     found.extend(replay(look));
     found.extend(services::services(look));
@@ -80,6 +83,7 @@ pub(super) fn of_fleet(look: &Look) -> Vec<Finding> {
     found.extend(services::state(look));
     found.extend(robots::robots(look));
     found.extend(robots::refused(look));
+    found.extend(ros::refused_topics(&look.bridges));
     found.extend(services::jobs(look));
     found.extend(robots::teams(look));
     found.extend(division::division(look));
