@@ -9,13 +9,16 @@ use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
 use common::{config, connected, options, passive_core, router};
-use muster_model::id::{RobotId, ServiceName};
+use muster_model::header::Revision;
+use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::Stream;
+use muster_model::role::ReplicaState;
 use muster_model::settings::IngestSettings;
+use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::config::{ProcessArgs, ProcessConfig};
-use muster_runtime::observe::Observatory;
+use muster_runtime::observe::{Observatory, Queues};
 use muster_runtime::shell::{self, ServiceOptions};
 use muster_runtime::stop;
 use muster_service::{Context, Core, Delivery, Get, Stopwatch, Subscription, View, Wiring};
@@ -148,6 +151,63 @@ fn healthz_reports_a_router_whose_loop_hangs() {
     assert!(body.starts_with(r#"{"alive":false,"router":{"alive":false"#), "{body}");
     observatory.router_turned();
     assert_eq!(get(address, "/healthz").0, 200, "it goes on");
+}
+
+/// A status with these counters, of a service that leads.
+fn status(service: ServiceName, counters: &[(&str, u64)]) -> ServiceStatus {
+    ServiceStatus {
+        fleet: FleetId::new("alpha").unwrap(),
+        service,
+        instance: InstanceId::new("i1").unwrap(),
+        version: "1".to_owned(),
+        started: Tick(0),
+        now: Tick(1),
+        standing: ReplicaState::Leading,
+        revision: Revision::default(),
+        state: String::new(),
+        counters: counters.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect(),
+        departed: Vec::new(),
+    }
+}
+
+#[test]
+fn counters_are_metrics_and_what_may_fall_is_a_gauge_that_falls() {
+    let service = ServiceName::Historian;
+    let observatory = Observatory::open(&with_port("tcp/127.0.0.1:1"), &[service]).unwrap();
+    let observer = observatory.observer(service);
+    let metrics = |counters: &[(&str, u64)]| {
+        observer.turned(&status(service, counters), &Queues::default(), None);
+        get(observatory.address().unwrap(), "/metrics").1
+    };
+    let full = [
+        ("records_made", 7),
+        ("jobs_failed", 2),
+        ("state_unwritable", 1),
+        ("history_degraded", 1),
+        ("history_bytes", 4096),
+        ("recorded_through", 1_700_000_000_500_000),
+    ];
+    let while_full = metrics(&full);
+    let cleared = metrics(&full[..2]);
+    for (metric, full, after) in [
+        ("records_made_total", "7", "7"),
+        ("jobs_failed_total", "2", "2"),
+        ("state_lost", "0", "0"),
+        ("state_unwritable", "1", "0"),
+        ("history_degraded", "1", "0"),
+        ("history_bytes", "4096", "0"),
+        // The moment of the last record stays what it was.
+        ("history_recorded_through_timestamp_seconds", "1700000000.5", "1700000000.5"),
+    ] {
+        let sample = format!("muster_{metric}{{fleet=\"default\",service=\"historian\"}} ");
+        for (text, value) in [(&while_full, full), (&cleared, after)] {
+            let found = text.lines().find_map(|line| line.strip_prefix(&sample));
+            assert_eq!(found, Some(value), "{metric} in\n{text}");
+        }
+    }
+    let families =
+        cleared.lines().filter(|line| line.starts_with("# TYPE muster_jobs_failed ")).count();
+    assert_eq!(families, 1, "{cleared}");
 }
 
 #[test]
