@@ -47,6 +47,13 @@ fn stage() -> Histogram {
     Histogram::new(exponential_buckets(1e-3, 2.0, 15))
 }
 
+/// The trust in a modality of which nothing is known yet: a scrape between the first two steps must not see doubt.
+fn trusted() -> Number {
+    let trust = Number::default();
+    trust.set(1.0);
+    trust
+}
+
 /// All metrics of a process.
 #[derive(Debug)]
 pub(super) struct Metrics {
@@ -96,7 +103,7 @@ pub(super) struct Results {
     pub(super) silhouette: Family<OfWith, Number>,
     pub(super) returns: Family<Of, Number>,
     pub(super) alerts: Family<OfWith, Gauge>,
-    pub(super) trust: Family<OfNamed, Number>,
+    pub(super) trust: Family<OfNamed, Number, fn() -> Number>,
     pub(super) katz_residual: Family<Of, Number>,
     pub(super) residual: Family<Of, Number>,
     pub(super) spectral_radius: Family<Of, Number>,
@@ -152,11 +159,12 @@ impl Results {
                 "Changes of robots into a team that they had left within the last minute",
             ),
             alerts: metric(to, "alerts_open", "Open alerts, by kind"),
-            trust: metric(
-                to,
-                "modality_trust",
-                "By how much the weight of each modality is multiplied, from 0 to 1",
-            ),
+            trust: {
+                let trust = Family::new_with_constructor(trusted as fn() -> Number);
+                let help = "By how much the weight of each modality is multiplied, from 0 to 1";
+                to.register("modality_trust", help, Family::clone(&trust));
+                trust
+            },
             katz_residual: metric(to, "katz_residual", "Relative residual of the Katz similarity"),
             residual: metric(
                 to,

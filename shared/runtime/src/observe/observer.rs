@@ -5,8 +5,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use muster_model::alert::AlertKind;
+use muster_model::embedding::EmbeddingGraph;
 use muster_model::event::{Event as FleetEvent, Severity};
-use muster_model::id::ServiceName;
+use muster_model::id::{Modality, ServiceName};
 use muster_model::role::ReplicaState;
 use muster_model::roster::{Presence, Roster};
 use muster_model::status::{ServiceStatus, StatusGauge};
@@ -92,6 +93,8 @@ struct State {
     embedding: Option<Instant>,
     teams: Option<Instant>,
     peopled: Option<Instant>,
+    /// The modalities of the last embedding that was published.
+    modalities: Vec<Modality>,
     /// How long all jobs have failed, and why the last one did.
     failing: Option<(Duration, String)>,
 }
@@ -340,13 +343,7 @@ impl Observer {
                 results.residual.get_or_create(&of).set(quality.residual);
                 results.spectral_radius.get_or_create(&of).set(quality.spectral_radius.1);
                 results.alpha.get_or_create(&of).set(quality.alpha);
-                // A modality that is no longer declared has no trust.
-                results.trust.clear();
-                for graph in &embedding.graphs {
-                    let service = (own.labels.0, own.labels.1.to_owned());
-                    let labels = [service, ("modality", graph.modality.to_string())];
-                    results.trust.get_or_create(&labels).set(graph.trust);
-                }
+                self.trust(&embedding.graphs);
                 let mode = match quality.mode {
                     muster_model::embedding::EmbeddingMode::Dense => "dense",
                     muster_model::embedding::EmbeddingMode::Updated => "updated",
@@ -401,6 +398,22 @@ impl Observer {
         }
         if let Some(stage) = header.stages.iter().rfind(|stage| stage.stage == self.0.service) {
             observe(&own.stage, stage.published.since(stage.received));
+        }
+    }
+
+    fn trust(&self, graphs: &[EmbeddingGraph]) {
+        let own = &self.0.metrics;
+        let labels = |modality: &Modality| {
+            [(own.labels.0, own.labels.1.to_owned()), ("modality", modality.to_string())]
+        };
+        let now: Vec<Modality> = graphs.iter().map(|graph| graph.modality.clone()).collect();
+        let before = std::mem::replace(&mut self.0.state().modalities, now.clone());
+        for graph in graphs {
+            own.results.trust.get_or_create(&labels(&graph.modality)).set(graph.trust);
+        }
+        // A modality that is no longer declared has no trust. The others stay: a scrape may come at any moment.
+        for gone in before.iter().filter(|modality| !now.contains(modality)) {
+            own.results.trust.remove(&labels(gone));
         }
     }
 
