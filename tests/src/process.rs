@@ -53,6 +53,23 @@ pub fn python() -> anyhow::Result<PathBuf> {
     Ok(python)
 }
 
+/// A program of Debian's package `prometheus`: `promtool` or `prometheus`.
+///
+/// # Errors
+/// If it is not there; the text names the remedy.
+pub fn prometheus_program(name: &str) -> anyhow::Result<PathBuf> {
+    let unpacked = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/prometheus/usr/bin");
+    let installed = std::env::var_os("PATH").unwrap_or_default();
+    let places = [unpacked].into_iter().chain(std::env::split_paths(&installed));
+    let found = places.map(|place| place.join(name)).find(|path| path.exists());
+    found.with_context(|| {
+        format!(
+            "there is no {name}: tests/run unpacks it from Debian's package prometheus into \
+             target/prometheus, or `apt-get install prometheus`, which also starts a server"
+        )
+    })
+}
+
 impl Process {
     /// Starts a program; what it prints goes to `{name}.log` in a folder.
     ///

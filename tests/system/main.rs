@@ -13,6 +13,7 @@ mod cli;
 mod client;
 mod conformance;
 mod console;
+mod dashboards;
 mod demo;
 mod deploy;
 mod doctor;

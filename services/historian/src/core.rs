@@ -10,6 +10,7 @@ use muster_model::history::{
 };
 use muster_model::id::ServiceName;
 use muster_model::settings::HistorianSettings;
+use muster_model::status::StatusGauge;
 use muster_model::time::{Tick, seconds};
 use muster_service::{
     Context, Core, Delivery, Get, JobEnd, MemoryUse, Replication, ServedKey, Stopwatch,
@@ -47,15 +48,6 @@ const MEGABYTE: f64 = 1e6;
 
 /// Seconds of a day.
 const DAY_S: f64 = 86_400.0;
-
-/// The part of the promise that a reader of the status sees: the newest record on the disk, in microseconds since 1970.
-const RECORDED_THROUGH: &str = "recorded_through";
-
-/// How many bytes the records take.
-const HISTORY_BYTES: &str = "history_bytes";
-
-/// 1 while recording is degraded.
-const HISTORY_DEGRADED: &str = "history_degraded";
 
 /// How many records were lost.
 const RECORDS_LOST: &str = "records_lost";
@@ -157,7 +149,7 @@ impl Historian {
     /// Tells operators that a file was damaged, and that recording is degraded or is not any more.
     fn report_problem(&mut self, context: &mut HistorianContext<'_>) {
         let problem = self.report.as_ref().and_then(|report| report.problem.clone());
-        context.set(HISTORY_DEGRADED, u64::from(problem.is_some()));
+        context.set(StatusGauge::HistoryDegraded, u64::from(problem.is_some()));
         if !context.is_leading() {
             return;
         }
@@ -338,8 +330,11 @@ impl Core for Historian {
     }
 
     fn on_recorded(&mut self, context: &mut HistorianContext<'_>, report: RecordingReport) {
-        context.set(RECORDED_THROUGH, report.coverage.recorded_through.map_or(0, |at| at.0));
-        context.set(HISTORY_BYTES, report.coverage.bytes);
+        context.set(
+            StatusGauge::RecordedThrough,
+            report.coverage.recorded_through.map_or(0, |at| at.0),
+        );
+        context.set(StatusGauge::HistoryBytes, report.coverage.bytes);
         context.add(RECORDS_LOST, report.lost);
         self.lost += report.lost;
         self.damaged = report.damaged.clone().or(self.damaged.take());

@@ -41,6 +41,59 @@ pub struct ServiceStatus {
     pub departed: Vec<Departure>,
 }
 
+/// What stands among the counters of a status and says how things are, so that it may fall. Where it is zero, it is
+/// not there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StatusGauge {
+    /// 1 if the instance began without the state that it had stored.
+    StateLost,
+    /// 1 while state cannot be stored.
+    StateUnwritable,
+    /// 1 while a historian keeps less than it should.
+    HistoryDegraded,
+    /// The moment up to which a history is on the disk, in microseconds since 1970.
+    RecordedThrough,
+    /// How many bytes the records of a history take.
+    HistoryBytes,
+}
+
+impl StatusGauge {
+    /// All of them.
+    pub const ALL: [Self; 5] = [
+        Self::StateLost,
+        Self::StateUnwritable,
+        Self::HistoryDegraded,
+        Self::RecordedThrough,
+        Self::HistoryBytes,
+    ];
+
+    /// Its name among the counters.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::StateLost => "state_lost",
+            Self::StateUnwritable => "state_unwritable",
+            Self::HistoryDegraded => "history_degraded",
+            Self::RecordedThrough => "recorded_through",
+            Self::HistoryBytes => "history_bytes",
+        }
+    }
+}
+
+impl ServiceStatus {
+    /// How things are.
+    #[must_use]
+    pub fn gauge(&self, gauge: StatusGauge) -> u64 {
+        self.counters.get(gauge.as_str()).copied().unwrap_or_default()
+    }
+
+    /// What is counted, with its name, and only grows.
+    pub fn counted(&self) -> impl Iterator<Item = (&String, &u64)> {
+        let is_gauge = |name: &str| StatusGauge::ALL.iter().any(|gauge| gauge.as_str() == name);
+        self.counters.iter().filter(move |(name, _)| !is_gauge(name))
+    }
+}
+
 /// A robot that has left.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Departure {

@@ -4,18 +4,25 @@
 
 mod common;
 
+use std::collections::BTreeSet;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use common::{config, connected, options, passive_core, router};
-use muster_model::id::{RobotId, ServiceName};
+use muster_model::content::Checked;
+use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingMode, EmbeddingQuality};
+use muster_model::header::{Header, Revision};
+use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 use muster_model::observation::Stream;
+use muster_model::role::ReplicaState;
 use muster_model::settings::IngestSettings;
+use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::config::{ProcessArgs, ProcessConfig};
-use muster_runtime::observe::Observatory;
+use muster_runtime::observe::{Observatory, Queues};
 use muster_runtime::shell::{self, ServiceOptions};
 use muster_runtime::stop;
 use muster_service::{Context, Core, Delivery, Get, Stopwatch, Subscription, View, Wiring};
@@ -26,6 +33,9 @@ const HANGS: Duration = Duration::from_secs(9);
 
 /// How long a test waits for what should come soon.
 const SOON: Duration = Duration::from_secs(15);
+
+/// Scrapes beside a service that publishes without a pause: a gap of a microsecond is seen in some of them.
+const SCRAPES: usize = 300;
 
 /// A core that hangs over every pose.
 struct Sleeper;
@@ -148,6 +158,140 @@ fn healthz_reports_a_router_whose_loop_hangs() {
     assert!(body.starts_with(r#"{"alive":false,"router":{"alive":false"#), "{body}");
     observatory.router_turned();
     assert_eq!(get(address, "/healthz").0, 200, "it goes on");
+}
+
+/// A status with these counters, of a service that leads.
+fn status(service: ServiceName, counters: &[(&str, u64)]) -> ServiceStatus {
+    ServiceStatus {
+        fleet: FleetId::new("alpha").unwrap(),
+        service,
+        instance: InstanceId::new("i1").unwrap(),
+        version: "1".to_owned(),
+        started: Tick(0),
+        now: Tick(1),
+        standing: ReplicaState::Leading,
+        revision: Revision::default(),
+        state: String::new(),
+        counters: counters.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect(),
+        departed: Vec::new(),
+    }
+}
+
+#[test]
+fn counters_are_metrics_and_what_may_fall_is_a_gauge_that_falls() {
+    let service = ServiceName::Historian;
+    let observatory = Observatory::open(&with_port("tcp/127.0.0.1:1"), &[service]).unwrap();
+    let observer = observatory.observer(service);
+    let metrics = |counters: &[(&str, u64)]| {
+        observer.turned(&status(service, counters), &Queues::default(), None);
+        get(observatory.address().unwrap(), "/metrics").1
+    };
+    let full = [
+        ("records_made", 7),
+        ("jobs_failed", 2),
+        ("state_unwritable", 1),
+        ("history_degraded", 1),
+        ("history_bytes", 4096),
+        ("recorded_through", 1_700_000_000_500_000),
+    ];
+    let while_full = metrics(&full);
+    let cleared = metrics(&full[..2]);
+    for (metric, full, after) in [
+        ("records_made_total", "7", "7"),
+        ("jobs_failed_total", "2", "2"),
+        ("state_lost", "0", "0"),
+        ("state_unwritable", "1", "0"),
+        ("history_degraded", "1", "0"),
+        ("history_bytes", "4096", "0"),
+        // The moment of the last record stays what it was.
+        ("history_recorded_through_timestamp_seconds", "1700000000.5", "1700000000.5"),
+    ] {
+        let sample = format!("muster_{metric}{{fleet=\"default\",service=\"historian\"}} ");
+        for (text, value) in [(&while_full, full), (&cleared, after)] {
+            let found = text.lines().find_map(|line| line.strip_prefix(&sample));
+            assert_eq!(found, Some(value), "{metric} in\n{text}");
+        }
+    }
+    let families =
+        cleared.lines().filter(|line| line.starts_with("# TYPE muster_jobs_failed ")).count();
+    assert_eq!(families, 1, "{cleared}");
+}
+
+/// An embedding without robots that trusts these modalities as much as can be.
+fn embedding(modalities: &[&str]) -> Message {
+    let graph = |name: &&str| EmbeddingGraph {
+        modality: Modality::new(*name).unwrap(),
+        revision: Revision::default(),
+        weight: 1.0,
+        trust: 1.0,
+    };
+    let header = Header {
+        fleet: FleetId::new("alpha").unwrap(),
+        revision: Revision::default(),
+        oldest: None,
+        newest: None,
+        stages: Vec::new(),
+    };
+    let quality = EmbeddingQuality {
+        spectral_radius: (1.0, 1.0),
+        alpha: 0.5,
+        singular_values: Vec::new(),
+        next_singular_value: 0.0,
+        residual: 0.0,
+        katz_residual: 0.0,
+        gap: 0.0,
+        ambiguous: false,
+        mode: EmbeddingMode::Cached,
+        teams_shown: None,
+        team_scores: Vec::new(),
+        stage_us: [0; 3],
+    };
+    Message::Embedding(Checked::new_unchecked(Embedding {
+        header,
+        roster: Revision::default(),
+        graphs: modalities.iter().map(graph).collect(),
+        robots: Vec::new(),
+        dimension: 2,
+        values: Vec::new(),
+        without_embedding: Vec::new(),
+        provisional: Vec::new(),
+        centrality: Vec::new(),
+        quality,
+    }))
+}
+
+#[test]
+fn a_scrape_sees_the_trust_in_each_modality_whenever_it_comes() {
+    let service = ServiceName::Embedder;
+    let observatory = Observatory::open(&with_port("tcp/127.0.0.1:1"), &[service]).unwrap();
+    let (address, observer) = (observatory.address().unwrap(), observatory.observer(service));
+    let shown = || -> Vec<String> {
+        let text = get(address, "/metrics").1;
+        let lines = text.lines().filter(|line| line.starts_with("muster_modality_trust{"));
+        lines.filter_map(|line| Some(line.split_once("modality=")?.1.to_owned())).collect()
+    };
+    let both = embedding(&["hierarchy", "spatial"]);
+    observer.published(&both, 0, Tick(0));
+    let is_over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !is_over.load(Ordering::Relaxed) {
+                observer.published(&both, 0, Tick(0));
+            }
+        });
+        let all: BTreeSet<Vec<String>> = (0..SCRAPES)
+            .map(|_| {
+                let mut shown = shown();
+                shown.sort_unstable();
+                shown
+            })
+            .collect();
+        is_over.store(true, Ordering::Relaxed);
+        let whole = ["\"hierarchy\"} 1.0", "\"spatial\"} 1.0"].map(str::to_owned).to_vec();
+        assert_eq!(all, BTreeSet::from([whole]));
+    });
+    observer.published(&embedding(&["spatial"]), 0, Tick(0));
+    assert_eq!(shown(), ["\"spatial\"} 1.0"], "one that is no longer declared has no trust");
 }
 
 #[test]

@@ -8,7 +8,7 @@ use muster_model::history::{Entry, Page, Query, Record, RecordingReport, Retenti
 use muster_model::id::{FleetId, InstanceId, ServiceName};
 use muster_model::role::ReplicaState;
 use muster_model::settings::{Settings, SettingsError};
-use muster_model::status::Departure;
+use muster_model::status::{Departure, StatusGauge};
 use muster_model::time::Tick;
 use muster_wire::{Attachment, ForeignKey, Key, KeySpace, Message, Packet, Pattern, Rejection};
 
@@ -386,9 +386,9 @@ impl<C: Core> Context<'_, C> {
         self.0.replica.add(counter, count);
     }
 
-    /// Sets a counter of the status that says how things are; zero takes it away.
-    pub fn set(&mut self, counter: &'static str, value: u64) {
-        self.0.replica.set(counter, value);
+    /// Says in the status how things are.
+    pub fn set(&mut self, gauge: StatusGauge, value: u64) {
+        self.0.replica.set(gauge, value);
     }
 
     /// This instance.

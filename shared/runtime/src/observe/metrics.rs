@@ -2,7 +2,7 @@
 
 use std::fmt::Debug;
 use std::hash::Hash;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use muster_model::id::{FleetId, ServiceName};
 use prometheus_client::encoding::EncodeLabelSet;
@@ -13,6 +13,9 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Metric, Registry, Unit};
+
+use super::counted::Counted;
+use super::process::ProcessCollector;
 
 /// What `/metrics` answers with.
 pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -44,12 +47,16 @@ fn stage() -> Histogram {
     Histogram::new(exponential_buckets(1e-3, 2.0, 15))
 }
 
+/// The trust in a modality of which nothing is known yet: a scrape between the first two steps must not see doubt.
+fn trusted() -> Number {
+    let trust = Number::default();
+    trust.set(1.0);
+    trust
+}
+
 /// All metrics of a process.
 #[derive(Debug)]
 pub(super) struct Metrics {
-    memory: Gauge,
-    threads: Gauge,
-    files: Gauge,
     pub(super) up: Family<Of, Gauge>,
     pub(super) ready: Family<Of, Gauge>,
     pub(super) term: Family<Of, Gauge>,
@@ -76,7 +83,9 @@ pub(super) struct Metrics {
     pub(super) published_bytes: Family<Of, Counter>,
     pub(super) answered: Family<Of, Counter>,
     pub(super) refused: Family<Of, Counter>,
-    pub(super) counted: Family<OfNamed, Counter>,
+    pub(super) state_lost: Family<Of, Gauge>,
+    pub(super) state_unwritable: Family<Of, Gauge>,
+    pub(super) counted: Counted,
     pub(super) results: Results,
     /// What every process has, under the names that Prometheus gives it.
     process: Registry,
@@ -94,13 +103,16 @@ pub(super) struct Results {
     pub(super) silhouette: Family<OfWith, Number>,
     pub(super) returns: Family<Of, Number>,
     pub(super) alerts: Family<OfWith, Gauge>,
-    pub(super) trust: Family<OfNamed, Number>,
+    pub(super) trust: Family<OfNamed, Number, fn() -> Number>,
     pub(super) katz_residual: Family<Of, Number>,
     pub(super) residual: Family<Of, Number>,
     pub(super) spectral_radius: Family<Of, Number>,
     pub(super) alpha: Family<Of, Number>,
     pub(super) embeddings: Family<OfWith, Counter>,
     pub(super) embedding_stage: HistogramsWith,
+    pub(super) history_degraded: Family<Of, Gauge>,
+    pub(super) history_bytes: Family<Of, Gauge>,
+    pub(super) history_through: Family<Of, Number>,
 }
 
 /// A new metric under a name.
@@ -147,11 +159,12 @@ impl Results {
                 "Changes of robots into a team that they had left within the last minute",
             ),
             alerts: metric(to, "alerts_open", "Open alerts, by kind"),
-            trust: metric(
-                to,
-                "modality_trust",
-                "By how much the weight of each modality is multiplied, from 0 to 1",
-            ),
+            trust: {
+                let trust = Family::new_with_constructor(trusted as fn() -> Number);
+                let help = "By how much the weight of each modality is multiplied, from 0 to 1";
+                to.register("modality_trust", help, Family::clone(&trust));
+                trust
+            },
             katz_residual: metric(to, "katz_residual", "Relative residual of the Katz similarity"),
             residual: metric(
                 to,
@@ -175,6 +188,19 @@ impl Results {
                 "embedding_stage",
                 "Time that each stage of an embedding took",
             ),
+            history_degraded: metric(
+                to,
+                "history_degraded",
+                "1 while a historian keeps less than it should",
+            ),
+            history_bytes: bytes(to, "history", "Bytes that the records of a history take"),
+            history_through: {
+                let through = Family::default();
+                let help = "Up to when a history is on the disk, since 1970";
+                let name = "history_recorded_through_timestamp";
+                to.register_with_unit(name, help, Unit::Seconds, Family::clone(&through));
+                through
+            },
         }
     }
 }
@@ -187,16 +213,11 @@ impl Metrics {
         let build = Info::new([("version", env!("CARGO_PKG_VERSION"))]);
         registry.register("build", "The version of the program", build);
         let mut process = Registry::with_prefix("process");
-        let started = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let start = Number::default();
-        start.set(started.as_secs_f64());
-        let help = "When the process started, since 1970";
-        process.register_with_unit("start_time", help, Unit::Seconds, start);
+        process.register_collector(Box::new(ProcessCollector::new()));
+        let counted = Counted::default();
+        registry.register_collector(Box::new(counted.clone()));
         let to = &mut registry;
         Self {
-            memory: bytes(&mut process, "resident_memory", "Resident memory of the process"),
-            threads: metric(&mut process, "threads", "Threads of the process"),
-            files: metric(&mut process, "open_fds", "Open file descriptors of the process"),
             up: metric(
                 to,
                 "loop_turning",
@@ -262,8 +283,18 @@ impl Metrics {
             published_bytes: bytes(to, "published", "Bytes of messages that were published"),
             answered: metric(to, "gets_answered", "Gets that were answered"),
             refused: metric(to, "messages_refused", "Messages that were refused"),
-            counted: metric(to, "counted", "Everything else that the service counts, by name"),
+            state_lost: metric(
+                to,
+                "state_lost",
+                "1 if the service began without the state that it had stored",
+            ),
+            state_unwritable: metric(
+                to,
+                "state_unwritable",
+                "1 while the service cannot store its state",
+            ),
             results: Results::new(to),
+            counted,
             process,
             registry,
         }
@@ -274,30 +305,11 @@ impl Metrics {
     /// # Errors
     /// If a metric cannot be written, which none of ours is.
     pub(super) fn text(&self) -> Result<String, std::fmt::Error> {
-        self.look_at_process();
         let mut text = String::new();
         encode_registry(&mut text, &self.process)?;
         encode_registry(&mut text, &self.registry)?;
         encode_eof(&mut text)?;
         Ok(text)
-    }
-
-    /// Where the system reports nothing of a process, the last values stay.
-    fn look_at_process(&self) {
-        let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-        let number = |name: &str| {
-            let line = status.lines().find_map(|line| line.strip_prefix(name))?;
-            line.split_whitespace().next()?.parse::<i64>().ok()
-        };
-        if let Some(kibibytes) = number("VmRSS:") {
-            self.memory.set(kibibytes.saturating_mul(1024));
-        }
-        if let Some(threads) = number("Threads:") {
-            self.threads.set(threads);
-        }
-        if let Ok(files) = std::fs::read_dir("/proc/self/fd") {
-            self.files.set(i64::try_from(files.count()).unwrap_or(i64::MAX));
-        }
     }
 }
 

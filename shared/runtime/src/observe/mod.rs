@@ -5,10 +5,12 @@
 //! what the shell sees pass, and the [`muster_model::status::ServiceStatus`] that every core has
 //! anyway. The port is served by a thread of its own, so that it answers when everything else hangs.
 
+mod counted;
 mod health;
 mod http;
 mod metrics;
 mod observer;
+mod process;
 
 use std::sync::Arc;
 

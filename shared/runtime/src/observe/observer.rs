@@ -5,11 +5,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use muster_model::alert::AlertKind;
+use muster_model::embedding::EmbeddingGraph;
 use muster_model::event::{Event as FleetEvent, Severity};
-use muster_model::id::ServiceName;
+use muster_model::id::{Modality, ServiceName};
 use muster_model::role::ReplicaState;
 use muster_model::roster::{Presence, Roster};
-use muster_model::status::ServiceStatus;
+use muster_model::status::{ServiceStatus, StatusGauge};
 use muster_model::time::Tick;
 use muster_service::JobsFailing;
 use muster_service::inbox::InboxCounts;
@@ -20,10 +21,15 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 
+use super::counted::Counted;
 use super::health::{self, Look};
-use super::metrics::{Metrics, OfNamed, OfWith, Results, count, observe, of, set_counter};
+use super::metrics::{Metrics, OfWith, Results, count, observe, of, set_counter};
 use crate::bus::send_queue::SendCounts;
 use crate::send_queue::Backlog;
+
+/// Counters of a status that are metrics of their own from the start, at zero, since alerts watch how they grow.
+const MESSAGES_REFUSED: &str = "messages_refused";
+const JOBS_FAILED: &str = "jobs_failed";
 
 /// What waits for a service and what it wants sent, and what has become of what waited.
 #[derive(Debug, Clone, Copy, Default)]
@@ -87,6 +93,8 @@ struct State {
     embedding: Option<Instant>,
     teams: Option<Instant>,
     peopled: Option<Instant>,
+    /// The modalities of the last embedding that was published.
+    modalities: Vec<Modality>,
     /// How long all jobs have failed, and why the last one did.
     failing: Option<(Duration, String)>,
 }
@@ -119,7 +127,8 @@ struct Own {
     published_bytes: Counter,
     answered: Counter,
     refused: Counter,
-    counted: Family<OfNamed, Counter>,
+    state: (Gauge, Gauge),
+    counted: Counted,
     results: Results,
 }
 
@@ -155,6 +164,10 @@ impl Own {
             published_bytes: all.published_bytes.get_or_create_owned(&of),
             answered: all.answered.get_or_create_owned(&of),
             refused: all.refused.get_or_create_owned(&of),
+            state: (
+                all.state_lost.get_or_create_owned(&of),
+                all.state_unwritable.get_or_create_owned(&of),
+            ),
             counted: all.counted.clone(),
             results: all.results.clone(),
         }
@@ -230,16 +243,13 @@ impl Observer {
         }
         own.term.set(i64::try_from(status.revision.term).unwrap_or(i64::MAX));
         own.epoch.set(i64::try_from(status.revision.epoch).unwrap_or(i64::MAX));
-        for (name, total) in &status.counters {
-            match name.as_str() {
-                "messages_refused" => set_counter(&own.refused, *total),
-                "jobs_failed" => set_counter(&own.jobs_failed, *total),
-                _ => {
-                    let labels = [(own.labels.0, own.labels.1.to_owned()), ("what", name.clone())];
-                    set_counter(&own.counted.get_or_create(&labels), *total);
-                }
-            }
-        }
+        let total = |name: &str| status.counters.get(name).copied().unwrap_or_default();
+        set_counter(&own.refused, total(MESSAGES_REFUSED));
+        set_counter(&own.jobs_failed, total(JOBS_FAILED));
+        let has_no_metric = |name: &str| ![MESSAGES_REFUSED, JOBS_FAILED].contains(&name);
+        let others = status.counted().filter(|(name, _)| has_no_metric(name));
+        own.counted.set(self.0.service, others);
+        self.gauges(status);
         own.inbox.0.set(count(queues.inbox.waiting_items));
         own.inbox.1.set(count(queues.inbox.waiting_bytes));
         own.outbox.0.set(count(queues.send_queue.messages));
@@ -248,6 +258,26 @@ impl Observer {
         set_counter(&own.inbox_dropped, queues.inbox.dropped);
         set_counter(&own.sent, queues.sending.sent);
         set_counter(&own.outbox_dropped, queues.sending.dropped);
+    }
+
+    /// What the status says of how things are.
+    fn gauges(&self, status: &ServiceStatus) {
+        let own = &self.0.metrics;
+        let gauge = |gauge| i64::try_from(status.gauge(gauge)).unwrap_or(i64::MAX);
+        own.state.0.set(gauge(StatusGauge::StateLost));
+        own.state.1.set(gauge(StatusGauge::StateUnwritable));
+        if self.0.service != ServiceName::Historian {
+            return;
+        }
+        let (results, of) = (&own.results, [own.labels]);
+        results.history_degraded.get_or_create(&of).set(gauge(StatusGauge::HistoryDegraded));
+        results.history_bytes.get_or_create(&of).set(gauge(StatusGauge::HistoryBytes));
+        // A history without any record reaches up to no moment.
+        let through = Tick(status.gauge(StatusGauge::RecordedThrough));
+        if through != Tick(0) {
+            let seconds = through.since(Tick(0)).as_secs_f64();
+            results.history_through.get_or_create(&of).set(seconds);
+        }
     }
 
     /// The loop has ended, as it should.
@@ -313,13 +343,7 @@ impl Observer {
                 results.residual.get_or_create(&of).set(quality.residual);
                 results.spectral_radius.get_or_create(&of).set(quality.spectral_radius.1);
                 results.alpha.get_or_create(&of).set(quality.alpha);
-                // A modality that is no longer declared has no trust.
-                results.trust.clear();
-                for graph in &embedding.graphs {
-                    let service = (own.labels.0, own.labels.1.to_owned());
-                    let labels = [service, ("modality", graph.modality.to_string())];
-                    results.trust.get_or_create(&labels).set(graph.trust);
-                }
+                self.trust(&embedding.graphs);
                 let mode = match quality.mode {
                     muster_model::embedding::EmbeddingMode::Dense => "dense",
                     muster_model::embedding::EmbeddingMode::Updated => "updated",
@@ -374,6 +398,22 @@ impl Observer {
         }
         if let Some(stage) = header.stages.iter().rfind(|stage| stage.stage == self.0.service) {
             observe(&own.stage, stage.published.since(stage.received));
+        }
+    }
+
+    fn trust(&self, graphs: &[EmbeddingGraph]) {
+        let own = &self.0.metrics;
+        let labels = |modality: &Modality| {
+            [(own.labels.0, own.labels.1.to_owned()), ("modality", modality.to_string())]
+        };
+        let now: Vec<Modality> = graphs.iter().map(|graph| graph.modality.clone()).collect();
+        let before = std::mem::replace(&mut self.0.state().modalities, now.clone());
+        for graph in graphs {
+            own.results.trust.get_or_create(&labels(&graph.modality)).set(graph.trust);
+        }
+        // A modality that is no longer declared has no trust. The others stay: a scrape may come at any moment.
+        for gone in before.iter().filter(|modality| !now.contains(modality)) {
+            own.results.trust.remove(&labels(gone));
         }
     }
 

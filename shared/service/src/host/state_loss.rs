@@ -5,17 +5,12 @@ use std::time::Duration;
 use muster_model::event::{EventKind, Severity};
 use muster_model::header::Revision;
 use muster_model::settings::Settings;
+use muster_model::status::StatusGauge;
 use muster_model::term::highest_term;
 use muster_wire::message::quoted;
 use muster_wire::{Message, Rejection};
 
 use crate::facilities::Facilities;
-
-/// The counter of a status that says that the instance began without its stored state.
-const STATE_LOST: &str = "state_lost";
-
-/// The counter of a status that is 1 while stored state cannot be written.
-const STATE_UNWRITABLE: &str = "state_unwritable";
 
 /// How soon state that could not be written is written again: each attempt on a full disk is a line in the log.
 const STORE_RETRY_INTERVAL: Duration = Duration::from_secs(10);
@@ -66,7 +61,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
     /// Reports a loss of state, once there is a term to report it in.
     pub(crate) fn report_state_loss(&mut self) {
         if let Some(reason) = self.replica.state_loss.take() {
-            self.replica.set(STATE_LOST, 1);
+            self.replica.set(StatusGauge::StateLost, 1);
             self.publish_event(Severity::Error, EventKind::StateLost { reason });
         }
     }
@@ -81,8 +76,8 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
 
     /// State was written, or could not be. A failure is reported when it begins.
     pub(crate) fn store_ended(&mut self, error: Option<&str>) {
-        let failed_before = self.replica.count_of(STATE_UNWRITABLE) > 0;
-        self.replica.set(STATE_UNWRITABLE, u64::from(error.is_some()));
+        let failed_before = self.replica.count_of(StatusGauge::StateUnwritable.as_str()) > 0;
+        self.replica.set(StatusGauge::StateUnwritable, u64::from(error.is_some()));
         self.store_again_at = error.is_some().then(|| self.now.after(STORE_RETRY_INTERVAL));
         if let Some(error) = error.filter(|_| !failed_before) {
             let reason = format!(

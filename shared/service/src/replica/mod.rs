@@ -16,7 +16,7 @@ use muster_model::id::{FleetId, RobotId, ServiceName};
 use muster_model::refused::Refused;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::settings::Settings;
-use muster_model::status::ServiceStatus;
+use muster_model::status::{ServiceStatus, StatusGauge};
 use muster_model::term::{clock_term, highest_term};
 use muster_model::time::Tick;
 use muster_wire::envelope::AnnouncedSettings;
@@ -186,12 +186,12 @@ impl<S: Settings> Replica<S> {
         *counter = counter.saturating_add(count);
     }
 
-    /// Sets a counter that says how things are; zero takes it away.
-    pub(crate) fn set(&mut self, counter: &'static str, value: u64) {
+    /// Says how things are.
+    pub(crate) fn set(&mut self, gauge: StatusGauge, value: u64) {
         if value == 0 {
-            self.counters.remove(counter);
+            self.counters.remove(gauge.as_str());
         } else {
-            self.counters.insert(counter, value);
+            self.counters.insert(gauge.as_str(), value);
         }
     }
 

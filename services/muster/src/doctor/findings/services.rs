@@ -6,7 +6,7 @@ use muster_client::ServiceInstance;
 use muster_model::event::EventKind;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
-use muster_model::status::ServiceStatus;
+use muster_model::status::{ServiceStatus, StatusGauge};
 use muster_wire::message::{plain_reason, quoted};
 
 use super::{Finding, Severity, error, finding, warning};
@@ -172,13 +172,13 @@ pub(super) fn clocks(look: &Look) -> Option<Finding> {
 
 /// Services that began without what they had stored, or cannot store.
 pub(super) fn state(look: &Look) -> Vec<Finding> {
-    let with = |counter: &str| -> Vec<String> {
-        let is_set = |status: &&ServiceStatus| status.counters.contains_key(counter);
+    let with = |gauge: StatusGauge| -> Vec<String> {
+        let is_set = |status: &&ServiceStatus| status.gauge(gauge) > 0;
         let of = |status: &ServiceStatus| format!("{} {}", status.service, status.instance);
         look.after.iter().filter(is_set).map(of).collect()
     };
     let mut found = Vec::new();
-    let lost = with("state_lost");
+    let lost = with(StatusGauge::StateLost);
     if !lost.is_empty() {
         found.push(
             warning(
@@ -191,7 +191,7 @@ pub(super) fn state(look: &Look) -> Vec<Finding> {
             .about(&lost),
         );
     }
-    let degraded = with("history_degraded");
+    let degraded = with(StatusGauge::HistoryDegraded);
     if !degraded.is_empty() {
         found.push(
             warning(
@@ -203,7 +203,7 @@ pub(super) fn state(look: &Look) -> Vec<Finding> {
             .about(&degraded),
         );
     }
-    let unwritable = with("state_unwritable");
+    let unwritable = with(StatusGauge::StateUnwritable);
     if !unwritable.is_empty() {
         found.push(
             error(
