@@ -50,14 +50,14 @@ pub struct Decomposition {
     pub path: Path,
     /// The same, and whether the frame before was of use.
     pub mode: EmbeddingMode,
-    /// Largest ‖S v − σ u‖ or ‖Sᵀ u − σ v‖ over the triplets, relative to σ₁. Where S is never formed,
-    /// ‖Mᵀ(Sᵀ u − σ v)‖ instead, with M = I − α A*.
+    /// Largest ‖S v − σ u‖ or ‖Sᵀ u − σ v‖ over the triplets, relative to σ₁; where S is never formed, a
+    /// bound of it.
     pub residual: f64,
     /// Whether the residual is within the tolerance.
     pub converged: bool,
     /// S, where it was formed.
     pub similarity: Option<DenseMatrix>,
-    /// ‖M (S + I) z − z‖ / ‖z‖ for a random sign vector z; none where S is never formed.
+    /// Largest |M S z − α A z| for random signs z, relative to what rounding is relative to; none where S is never formed.
     pub probe: Option<f64>,
 }
 
@@ -234,7 +234,8 @@ impl Decomposer {
             self.last = Some(Last::Whole { fused: Arc::clone(fused), alpha: decay.alpha, all });
         }
         Ok(Decomposition {
-            residual: svd.residual(&matrix)?,
+            // No decomposition of S is more exact than S itself.
+            residual: svd.residual(&matrix)?.max(probe),
             svd,
             teams,
             path: Path::Dense,

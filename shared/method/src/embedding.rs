@@ -210,6 +210,7 @@ fn of_no_edges(nodes: usize, params: &ValidEmbeddingParams) -> Result<Decomposit
             sigma: vec![0.0; rank],
             v: side()?,
             sigma_next: (rank < nodes).then_some(0.0),
+            next_residual: 0.0,
         },
         teams: TeamEvidence { teams: *params.teams.range().start(), scores: Vec::new() },
         path,

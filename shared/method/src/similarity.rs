@@ -22,7 +22,7 @@ pub(crate) struct Similarity {
 pub(crate) struct Solved {
     pub(crate) matrix: DenseMatrix,
     pub(crate) origin: Origin,
-    /// ‖M (S + I) z − z‖ / ‖z‖ for a random sign vector z.
+    /// Largest |M S z − α A z| for random signs z, relative to what rounding is relative to.
     pub(crate) probe: f64,
 }
 

@@ -36,7 +36,7 @@ pub struct EmbeddingQuality {
     /// Largest ‖S v − σ u‖ or ‖Sᵀ u − σ v‖ over the K triplets, relative to σ₁. Where the similarity is
     /// never formed, ‖Mᵀ(Sᵀ u − σ v)‖ instead, with M = I − α A*.
     pub residual: f64,
-    /// ‖M (S + I) z − z‖ / ‖z‖ for a random sign vector z; 0 where the similarity is never formed.
+    /// Largest |M S z − α A z| for random signs z, relative to what rounding is relative to; 0 where the similarity is never formed.
     pub katz_residual: f64,
     /// (σ_K − σ_{K+1}) / σ₁: how far the chosen subspace stands apart from the rest.
     pub gap: f64,

@@ -14,10 +14,11 @@ mod error;
 mod rows;
 mod scaling;
 mod similarity;
+mod walks;
 
 pub(crate) use alpha::check_alpha;
 pub use alpha::{Alpha, resolve_alpha};
 pub use centrality::Centrality;
 pub use error::KatzError;
 pub use rows::short_katz_rows;
-pub use similarity::{katz_probe, katz_similarity};
+pub use similarity::{MAX_KATZ_PROBE, katz_probe, katz_similarity};

@@ -65,7 +65,7 @@ fn changes_of_few_rows_allocate_nothing() {
     let n = 900;
     let radius = roomy(&swaying(n, 0, None));
     let alpha = 0.8 / radius.upper;
-    let options = KatzSvdOptions { exact: None, rank: 8, tolerance: 1e-3, seed: 1, threads: 1 };
+    let options = KatzSvdOptions { exact: None, rank: 8, tolerance: 5e-3, seed: 1, threads: 1 };
     let mut solver = KatzSvd::default();
     let mut without = 0;
     for frame in 0..40 {

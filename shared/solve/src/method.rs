@@ -40,8 +40,6 @@ pub(super) struct Solution {
     pub(super) radius: SpectralRadius,
     pub(super) alpha: f64,
     pub(super) decomposition: Decomposition,
-    /// Largest ‖S v − σ u‖ or ‖Sᵀ u − σ v‖, relative to σ₁; where S is never formed, a bound on it.
-    pub(super) residual: f64,
     pub(super) embedding: DenseMatrix,
     /// Per robot, whether its row holds nothing.
     pub(super) without_embedding: Vec<bool>,
@@ -52,17 +50,10 @@ pub(super) struct Solution {
 }
 
 impl Solution {
-    /// Bound on the sine of the angle by which the spaces of U and of V are turned against the true ones
-    /// (Wedin, BIT 12, 1972): the residuals of all K triplets over the gap behind them. 1 proves nothing.
+    /// Bound on the sine of the angle by which the spaces of U and of V are turned against the true ones. 1
+    /// proves nothing.
     pub(super) fn angle_bound(&self) -> f64 {
-        let svd = &self.decomposition.svd;
-        #[expect(clippy::cast_precision_loss, reason = "there are a few triplets")]
-        let together = self.residual * (svd.rank() as f64).sqrt();
-        match svd.gap() {
-            gap if gap > together => together / gap,
-            _ if together == 0.0 => 0.0,
-            _ => 1.0,
-        }
+        self.decomposition.svd.angle_bound(self.decomposition.residual)
     }
 }
 
@@ -95,15 +86,8 @@ pub(super) fn solve(
              similarity; for fewer robots --path dense finds them",
         );
     }
-    let residual = match found.path {
-        Path::Dense => found.residual,
-        // ‖M⁻ᵀ‖ = ‖I + S‖ ≤ 1 + σ₁ with M = I − αA*, of which the residual is that of Mᵀ(Sᵀu − σv).
-        Path::InverseFree => {
-            (1.0 + found.svd.sigma.first().copied().unwrap_or(0.0)) * found.residual
-        }
-    };
     let frames = problem.keeps_frames.then_some(frames);
-    let mut warnings = warnings(problem, &embedded, residual);
+    let mut warnings = warnings(problem, &embedded);
     let divided = divide(problem, &embedded, &mut warnings, progress)?;
     let Embedded { weights, trust, decay, decomposition, x, without_embedding, .. } = embedded;
     Ok(Solution {
@@ -112,7 +96,6 @@ pub(super) fn solve(
         radius: decay.radius,
         alpha: decay.alpha,
         decomposition,
-        residual,
         embedding: x,
         without_embedding,
         divided,
@@ -163,9 +146,9 @@ fn of_method<T>(error: MethodError) -> Result<T, SolveError> {
 }
 
 /// What a reader should know about an embedding.
-fn warnings(problem: &Problem, embedded: &Embedded, residual: f64) -> Vec<String> {
+fn warnings(problem: &Problem, embedded: &Embedded) -> Vec<String> {
     let mut warnings = Vec::new();
-    let Decomposition { svd, converged, .. } = &embedded.decomposition;
+    let Decomposition { svd, converged, residual, .. } = &embedded.decomposition;
     if svd.ambiguous() {
         warnings.push(format!(
             "the singular values number {} and {} coincide: which directions make up the embedding \

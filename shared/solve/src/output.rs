@@ -219,7 +219,7 @@ fn report<'a>(problem: &'a Problem, solution: &'a Solution) -> Report<'a> {
         singular_values: &found.svd.sigma,
         decomposition: DecompositionReport {
             path: found.path,
-            residual: solution.residual,
+            residual: solution.decomposition.residual,
             gap: found.svd.gap(),
             angle_bound: solution.angle_bound(),
             ambiguous: found.svd.ambiguous(),
@@ -242,7 +242,7 @@ fn report<'a>(problem: &'a Problem, solution: &'a Solution) -> Report<'a> {
             next_singular_value: found.svd.sigma_next,
             gap: found.svd.gap(),
             ambiguous: found.svd.ambiguous(),
-            residual: solution.residual,
+            residual: solution.decomposition.residual,
             katz_residual: found.probe,
             unseen: robots.filter(|(_, without)| **without).map(|(robot, _)| robot).collect(),
             disagreeing: disagreeing
@@ -366,7 +366,7 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
         values = values.join(", "),
         gap = rounded(found.svd.gap()),
         path = description(found.path),
-        residual = solution.residual,
+        residual = solution.decomposition.residual,
         angle = solution.angle_bound(),
         inertia = rounded(solution.divided.inertia),
         teams = team_count(problem, solution),

@@ -18,7 +18,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::alpha::check_alpha;
 use super::error::KatzError;
-use super::similarity::katz_similarity;
+use super::similarity::{katz_probe, katz_similarity};
 use crate::linalg::matrix::{MatrixError, SparseMatrix};
 use crate::radius::exact::SpectralRadius;
 use changes::{Changes, Row};
@@ -71,7 +71,8 @@ pub struct Update {
     pub rank: usize,
     /// Estimate of the reciprocal condition of the capacitance matrix; 1 without one.
     pub condition: f64,
-    /// ‖M(S + I)z − z‖/‖z‖ for a random z of ±1, M = I − αA (see [`crate::katz::katz_probe`]).
+    /// The accuracy of S. After a solution, that of [`katz_probe`]; after an update ‖M(S + I)z −
+    /// z‖/‖z‖ for a random z of ±1, M = I − αA, which is larger where entries of S are.
     pub probe: f64,
 }
 
@@ -375,11 +376,12 @@ impl CachedKatz {
         }
         // Free the old matrix before the new one is built.
         self.s = Vec::new();
-        self.s = katz_similarity(&a, self.alpha, &self.radius)?.into_data();
+        let s = katz_similarity(&a, self.alpha, &self.radius)?;
+        let probe = katz_probe(&a, self.alpha, &s, self.probes)?;
+        self.probes = self.probes.wrapping_add(1);
+        self.s = s.into_data();
         self.is_valid = true;
-        self.draw_signs();
         self.accept_latest();
-        let probe = self.probe();
         Ok(Update { method, rank, condition, probe })
     }
 

@@ -35,6 +35,17 @@ pub enum KatzError {
         /// The decay α.
         alpha: f64,
     },
+    /// No way to solve the system gives a solution of it: weights are too far apart.
+    #[error(
+        "the Katz matrix for decay {alpha} cannot be computed: its weights are too far apart (the \
+         probe of the solution is {probe:.0e})"
+    )]
+    Inexact {
+        /// The decay α.
+        alpha: f64,
+        /// [`crate::katz::katz_probe`] of the best solution.
+        probe: f64,
+    },
     /// S does not have the shape of A.
     #[error("a {rows} × {cols} similarity does not belong to a graph of {nodes} nodes")]
     Shape {

@@ -55,7 +55,7 @@ pub(crate) struct Request {
     pub(crate) rank: usize,
     /// How many of them have to reach the tolerance; the others have [`ROUGH_TOLERANCE`].
     pub(crate) exact: usize,
-    /// Largest residual ‖Mᵀ(Sᵀu − σv)‖ relative to σ₁.
+    /// Largest of [`Triplets::residuals`].
     pub(crate) tolerance: f64,
     /// Random directions in addition to the start, which find what the start does not contain at
     /// all.
@@ -96,7 +96,7 @@ pub(crate) struct Triplets {
     pub(crate) image: Aligned<f64>,
     /// Singular values, descending.
     pub(crate) sigma: Vec<f64>,
-    /// ‖Mᵀ(Sᵀu − σv)‖ of each, relative to σ₁.
+    /// A bound of ‖Sᵀu − σv‖ of each, relative to σ₁: (1 + σ₁) ‖Mᵀ(Sᵀu − σv)‖/σ₁, as ‖M⁻ᵀ‖ = ‖I + S‖.
     pub(crate) residuals: Vec<f64>,
     /// Number of rounds.
     pub(crate) rounds: usize,
@@ -355,8 +355,9 @@ impl Search<'_> {
         out.finite = sums[..width].iter().all(|sum| sum.is_finite());
         let null = NULL_VALUE_RATIO * top;
         out.residuals.clear();
+        let bound = (1.0 + top) * scale;
         let relative = |(square, sigma): (&f64, &f64)| {
-            if *sigma > null { square.sqrt() * scale } else { 0.0 }
+            if *sigma > null { square.sqrt() * bound } else { 0.0 }
         };
         out.residuals.extend(sums.iter().zip(&out.sigma).map(relative));
     }

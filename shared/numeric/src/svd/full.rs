@@ -78,6 +78,7 @@ impl FullSvd {
             sigma: self.sigma[..k].to_vec(),
             v: DenseMatrix::from_fn(nodes, k, |i, j| self.v.at(i, j)),
             sigma_next: self.sigma.get(k).copied(),
+            next_residual: 0.0,
         })
     }
 }

@@ -131,7 +131,13 @@ fn never_panics(text: &[u8]) -> bool {
             let decomposition = &solution.decomposition;
             let numbers = solution.embedding.data().iter().chain(&decomposition.svd.sigma);
             let (inertia, gap) = (solution.divided.inertia, decomposition.svd.gap());
-            let found = [solution.radius.value, solution.alpha, inertia, gap, solution.residual];
+            let found = [
+                solution.radius.value,
+                solution.alpha,
+                inertia,
+                gap,
+                solution.decomposition.residual,
+            ];
             assert!((0.0..=1.0).contains(&solution.angle_bound()));
             assert!(numbers.chain(&found).all(|number| number.is_finite()));
             assert!(!output::summary(&problem, &solution).is_empty());

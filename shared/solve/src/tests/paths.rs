@@ -79,7 +79,11 @@ fn both_paths_lead_to_the_same_division() {
             }
             assert!((left.svd.gap() - right.svd.gap()).abs() < 1e-9);
             let most = (1.0 + right.svd.sigma[0]) * Options::default().tolerance;
-            assert!(right.converged && free.residual <= most, "{}", free.residual);
+            assert!(
+                right.converged && free.decomposition.residual <= most,
+                "{}",
+                free.decomposition.residual
+            );
             let (apart, bound) = (projectors_apart(&dense, &free), free.angle_bound());
             assert!(apart <= 2e-7 && apart <= bound + dense.angle_bound(), "{apart:e} {bound:e}");
             assert_eq!(dense.divided.labels, free.divided.labels);
@@ -98,7 +102,7 @@ fn the_residual_that_is_asked_for_is_kept() {
     for tolerance in [1e-3, 1e-6, 1e-9] {
         let options = Options { tolerance, ..by(PathChoice::InverseFree) };
         let (problem, found) = solve_with(&text, options).unwrap();
-        let residual = found.residual;
+        let residual = found.decomposition.residual;
         let most = (1.0 + found.decomposition.svd.sigma[0]) * tolerance;
         assert!(found.decomposition.converged && residual <= most, "{residual:e}");
         // The same bound holds for the similarity itself.

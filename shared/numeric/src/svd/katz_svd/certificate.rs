@@ -264,7 +264,7 @@ impl Certificate {
                 lengths[c / width] += coefficient * coefficient;
             }
             let slack = rounding * (lengths[0] * traces[0] + lengths[1] * traces[1]);
-            let relative = (square.max(0.0) + slack).sqrt() / (sigma * top);
+            let relative = (1.0 + top) * (square.max(0.0) + slack).sqrt() / (sigma * top);
             triplets.residuals.push(if *sigma > null { relative } else { 0.0 });
         }
         triplets.residuals.iter().all(|residual| residual.is_finite())

@@ -3,7 +3,7 @@
 use thiserror::Error;
 
 /// Largest residual of triplets that need not be exact. The error of a value falls with its square.
-pub const ROUGH_TOLERANCE: f64 = 0.005;
+pub const ROUGH_TOLERANCE: f64 = 0.02;
 
 /// Unchecked parameters of a search; [`KatzSvdOptions::check`] makes them valid.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -13,8 +13,8 @@ pub struct KatzSvdOptions {
     /// How many of them, the leading ones, have to reach the tolerance; none for all. The others are searched
     /// for until their residual is [`ROUGH_TOLERANCE`], which gives their values to a fraction of a percent.
     pub exact: Option<usize>,
-    /// Largest residual ‖Mᵀ(Sᵀu − σv)‖/σ₁ with M = I − αA, above 0. ‖Sᵀu − σv‖ is at most 1 + σ₁ times
-    /// as large, and S v − σu is zero but for rounding.
+    /// Largest residual ‖Sᵀu − σv‖/σ₁, above 0. It is bounded by (1 + σ₁) ‖Mᵀ(Sᵀu − σv)‖/σ₁ with M = I − αA,
+    /// and S v − σu is zero but for rounding.
     pub tolerance: f64,
     /// Seed of the random directions.
     pub seed: u64,

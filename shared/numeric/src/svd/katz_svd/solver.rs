@@ -51,8 +51,9 @@ const REORDER_SEARCHES: u64 = 100;
 pub struct KatzSvdReport {
     /// Rounds of the search; 0 when the triplets of the previous frame were updated instead.
     pub rounds: usize,
-    /// Largest residual of the triplets that had to be exact, as in [`KatzSvdOptions::tolerance`].
-    /// [`crate::svd::RankKSvd::angle_bound`] turns it into a bound for the subspaces.
+    /// Largest residual of the triplets that had to be exact, as in [`KatzSvdOptions::tolerance`]: no
+    /// ‖Sᵀu − σv‖/σ₁ is larger. [`crate::svd::RankKSvd::angle_bound`] turns it into a bound for the
+    /// subspaces.
     pub residual: f64,
     /// True when the residual is within the tolerance. If not, decompose the whole of S.
     pub converged: bool,

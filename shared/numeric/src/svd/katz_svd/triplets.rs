@@ -41,7 +41,7 @@ impl KatzSvd {
     /// # Errors
     /// [`SvdError::Rank`] unless 1 ≤ k ≤ the number of [`KatzSvd::all_singular_values`].
     pub fn truncate(&self, k: usize) -> Result<RankKSvd, SvdError> {
-        let Triplets { width, sigma, .. } = &self.triplets;
+        let Triplets { width, sigma, residuals, .. } = &self.triplets;
         let nodes = sigma.len();
         if k == 0 || k > nodes {
             return Err(SvdError::Rank { rank: k, nodes });
@@ -59,7 +59,9 @@ impl KatzSvd {
             v: DenseMatrix::from_fn(self.nodes, k, |i, j| {
                 if sigma[j] > cut && !isolated(i) { right[at(i, j)] } else { 0.0 }
             }),
-            sigma_next: sigma.get(k).copied(),
+            // Of values beyond those that were found, no gap is claimed.
+            sigma_next: (k < self.nodes).then(|| sigma[k.min(nodes - 1)]),
+            next_residual: residuals.get(k).copied().unwrap_or(0.0) * sigma[0],
         };
         fix_signs(&mut svd.u, &mut svd.v);
         Ok(svd)
