@@ -77,11 +77,13 @@ impl Limits {
         }
     }
 
-    /// A process has published all wishes.
-    pub(crate) fn wished(&mut self, publisher: Publisher, list: &WishList) {
+    /// A process has published all wishes. Returns whether they are others than before.
+    pub(crate) fn wished(&mut self, publisher: Publisher, list: &WishList) -> bool {
         self.follow(publisher);
+        let is_other = self.wishes != list.wishes;
         self.wishes.clone_from(&list.wishes);
         self.has_wishes |= self.has_current_wishes();
+        is_other
     }
 
     fn has_current_wishes(&self) -> bool {

@@ -328,7 +328,12 @@ impl Oracle {
                 self.divisions.add(teams.header.revision, teams);
             }
             Message::Graph(delta) => self.graph = Some(Arc::clone(delta)),
-            Message::Wishes(list) => self.limits.wished(publisher, list),
+            Message::Wishes(list) => {
+                if self.limits.wished(publisher, list) {
+                    // The next division is one under other wishes.
+                    self.divided = None;
+                }
+            }
             Message::Outcome(outcome) => self.check_outcome(publisher, outcome)?,
             Message::Event(event) if service == ServiceName::Clusterer => {
                 self.limits.reported(publisher, &event.kind);
