@@ -17,8 +17,12 @@ use super::robots::Robots;
 const MARGIN: Duration = Duration::from_millis(3);
 
 /// The part of an error by which the next tick comes later. Coming too late costs a whole tick of `ingest`, so that it is
-/// approached slowly, and left at once.
-const LATER_BY: f64 = 0.25;
+/// approached slowly.
+const LATER_BY: f64 = 0.1;
+
+/// By how many margins the next tick comes sooner after poses that came with, or after, the frame: on a busy machine, where that
+/// happens again and again, they come the earlier for it.
+const SOONER_BY: f64 = 2.0;
 
 /// The part of a tick by which one tick is moved at most: a robot is never put twice in quick succession.
 const MOST_SHIFT: f64 = 0.25;
@@ -53,8 +57,8 @@ impl Phase {
         let shift = match early {
             // Another frame is nearer.
             _ if early > every / 2.0 => early - every,
-            _ if early > 0.0 => early * LATER_BY,
-            _ => early,
+            _ if early > -0.5 * MARGIN.as_secs_f64() => early * LATER_BY,
+            _ => -SOONER_BY * MARGIN.as_secs_f64(),
         };
         Some(shift.clamp(-every * MOST_SHIFT, every * MOST_SHIFT))
     }
@@ -122,7 +126,7 @@ mod tests {
                 next_put = next_put.saturating_add_signed((shift * 1e6) as i64);
             }
             let settled = &margins[margins.len() - 100..];
-            assert!(settled.iter().all(|margin| (1_500..8_000).contains(margin)), "{settled:?}");
+            assert!(settled.iter().all(|margin| (1_500..12_000).contains(margin)), "{settled:?}");
         }
     }
 
@@ -133,10 +137,10 @@ mod tests {
             |made, seen: &[(&str, u64)]| phase.shift(EVERY, &roster(made, seen), &robots);
         assert_eq!(shift(2_000_000, &[("other", 1_990_000)]), None);
         let later = shift(2_000_000, &[("other", 1_999_000), ("r1", 1_977_000)]).unwrap();
-        assert!((later - 0.005).abs() < 1e-9, "{later}");
+        assert!((later - 0.002).abs() < 1e-9, "{later}");
         assert_eq!(shift(2_100_000, &[("r1", 1_977_000)]), None, "nothing was put in between");
         let sooner = shift(2_100_000, &[("r1", 2_100_000)]).unwrap();
-        assert!((sooner + 0.003).abs() < 1e-9, "it was hardly in time: {sooner}");
+        assert!((sooner + 0.006).abs() < 1e-9, "it was hardly in time: {sooner}");
         let next = shift(2_300_000, &[("r1", 2_208_000)]).unwrap();
         assert!((next + 0.011).abs() < 1e-9, "it has just missed the frame before: {next}");
     }
