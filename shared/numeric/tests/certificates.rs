@@ -8,7 +8,7 @@ use muster_numeric::katz::{MAX_KATZ_PROBE, katz_probe, katz_similarity};
 use muster_numeric::katz_column::katz_column;
 use muster_numeric::katz_svd::{KatzSvd, KatzSvdOptions};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
-use muster_numeric::spectral_radius::spectral_radius;
+use muster_numeric::spectral_radius::{SpectralRadius, spectral_radius};
 use muster_numeric::svd::{RankKSvd, full_svd};
 
 fn options(rank: usize, tolerance: f64) -> KatzSvdOptions {
@@ -102,4 +102,74 @@ fn no_angle_is_bounded_by_a_gap_that_residuals_may_have_opened() {
     let rough = RankKSvd { next_residual: 0.05, ..svd.clone() };
     assert!(rough.angle_bound(0.01) > 1.5 * svd.angle_bound(0.01));
     assert_eq!(RankKSvd { next_residual: 0.1, ..svd }.angle_bound(0.01), 1.0);
+}
+
+/// Graphs side by side without an edge between them.
+fn side_by_side(parts: &[SparseMatrix]) -> SparseMatrix {
+    let mut edges = Vec::new();
+    let mut first = 0;
+    for part in parts {
+        edges.extend(part.triplets().map(|(i, j, w)| (first + i, first + j, w)));
+        first += part.nodes();
+    }
+    graph(first, &edges)
+}
+
+/// The singular values of graphs side by side, descending: those of each of them, decomposed whole.
+fn exact_values(parts: &[SparseMatrix], alpha: f64, radius: &SpectralRadius) -> Vec<f64> {
+    let mut values = Vec::new();
+    for part in parts {
+        let exact = exact_similarity(part, alpha, radius.upper);
+        values.extend_from_slice(full_svd(&exact).unwrap().singular_values());
+    }
+    values.sort_unstable_by(|a, b| b.total_cmp(a));
+    values
+}
+
+/// A command tree of 31 robots with links back that are so weak.
+fn command_tree(back: f64) -> SparseMatrix {
+    let edges = (1..31).flat_map(|i| [((i - 1) / 2, i, 1.0), (i, (i - 1) / 2, back)]);
+    graph(31, &edges.collect::<Vec<_>>())
+}
+
+#[test]
+fn command_trees_with_weak_links_back_have_their_values() {
+    for back in [0.1, 0.03, 0.01, 0.001, 1e-4] {
+        let tree = command_tree(back);
+        let a = side_by_side(&vec![tree.clone(); 200]);
+        let radius = spectral_radius(&tree, None);
+        let alpha = 0.9 / radius.upper;
+        let wanted = exact_values(&[tree], alpha, &radius)[0];
+        let mut search = KatzSvd::default();
+        let report = search.solve(&a, alpha, &radius, options(4, 1e-6), None).unwrap();
+        assert!(report.converged, "{back}: {report:?}");
+        // σ₁ of each of the trees.
+        for found in &search.all_singular_values()[..4] {
+            assert_close(*found, wanted, 1e-6);
+        }
+    }
+}
+
+#[test]
+fn close_neighbours_in_sigma_are_told_apart() {
+    // 5,000 robots in a hundred groups that differ by 1e-7, and their values by about 1e-6.
+    let group = |g: usize| {
+        let strength = 1.0 - 1e-7 * g as f64;
+        let links = (0..50).flat_map(move |i| {
+            let (next, far) = ((i + 1) % 50, (7 * i + 3) % 50);
+            [(i, next, 1.0), (next, i, 0.7), (i, far, 0.5)].map(|(i, j, w)| (i, j, strength * w))
+        });
+        graph(50, &links.collect::<Vec<_>>())
+    };
+    let groups: Vec<_> = (0..100).map(group).collect();
+    let a = side_by_side(&groups);
+    let radius = spectral_radius(&groups[0], None);
+    let alpha = 0.9 / radius.upper;
+    let wanted = exact_values(&groups, alpha, &radius);
+    let mut search = KatzSvd::default();
+    let report = search.solve(&a, alpha, &radius, options(8, 1e-6), None).unwrap();
+    assert!(report.converged && report.rounds <= 100, "{report:?}");
+    for (found, wanted) in search.all_singular_values()[..8].iter().zip(&wanted) {
+        assert_close(*found, *wanted, 1e-9);
+    }
 }

@@ -134,9 +134,10 @@ assignment to these teams is nearer, "gap" by which share one could be, "ids" na
 in no team, which "unassigned" lists), "prices" what a place in it costs, and "wishes" what has become of each.
 
 A solve that takes longer than a second says on a terminal what it is doing, unless --json is given.
-Exit codes: 0 done, or --estimate and it fits; 1 the results cannot be written; 2 the file is wrong, or
-what it asks for does not fit into the memory that is available; 4 nothing satisfies the limits,
-wishes and needs: the error has those that contradict each other with the numbers, and so has "conflict" of --json.
+Exit codes: 0 done, or --estimate and it fits; 1 the results cannot be written, or the search for the
+singular vectors did not converge and they are not exact; 2 the file is wrong, or what it asks for does
+not fit into the memory that is available; 4 nothing satisfies the limits, wishes and needs: the error has
+those that contradict each other with the numbers, and so has "conflict" of --json.
 
 Examples:
   muster solve fleet.json
@@ -205,9 +206,10 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
     }
     let solution = solved.with_context(|| name.clone())?;
     if let Some(robot) = &args.why {
-        let reasons = why::reasons(&problem, &solution, robot).with_context(|| name)?;
+        let reasons = why::reasons(&problem, &solution, robot).with_context(|| name.clone())?;
         let text = if args.json { reasons.to_json()? } else { reasons.text() };
-        return Ok(std::io::stdout().write_all(text.as_bytes())?);
+        std::io::stdout().write_all(text.as_bytes())?;
+        return check_converged(&solution, &name);
     }
     for warning in &solution.warnings {
         eprintln!("warning: {warning}");
@@ -217,6 +219,17 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
     } else {
         output::write_summary(&problem, &solution)?;
     }
+    check_converged(&solution, &name)
+}
+
+/// Results of a search that did not converge are written, but they are no success.
+fn check_converged(solution: &method::Solution, name: &str) -> anyhow::Result<()> {
+    let found = &solution.decomposition;
+    anyhow::ensure!(
+        found.converged,
+        "{name}: the search for the singular vectors did not converge (residual {:.1e}): the results are not exact",
+        found.residual
+    );
     Ok(())
 }
 

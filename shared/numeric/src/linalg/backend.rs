@@ -8,3 +8,4 @@
 pub(crate) mod dense;
 pub(crate) mod small_lu;
 pub(crate) mod small_symmetric;
+pub(crate) mod sparse_order;

@@ -3,12 +3,14 @@
 //! Write V = M W with M = I − αA. Since S = αA M⁻¹ = M⁻¹ αA, S V = αA W and W = V + S V: the
 //! Rayleigh–Ritz method on the range of V needs only one product with a sparse matrix, and is
 //! exact. The residual of a right vector costs one more, Mᵀ(Sᵀu − σv) = αAᵀ(u + σv) − σv. A
-//! polynomial in single precision approximates the best next direction, (M Mᵀ)⁻¹ times that
-//! residual; its quality decides the number of rounds, not the accuracy. This is a block Davidson
+//! polynomial in single precision approximates the best next direction, (MᵀM)⁻¹ times that
+//! residual; its quality decides the number of rounds, not the accuracy. Where no polynomial is near
+//! enough, as walks grow for long before they fade, a sparse factorisation of M takes its place. This is a block Davidson
 //! method (Davidson, J. Comput. Phys. 17, 1975) for SᵀS that uses the structure of the Katz
 //! similarity.
 
 mod basis;
+mod factors;
 mod polynomial;
 
 use rand::{RngExt, SeedableRng};
@@ -21,6 +23,7 @@ use crate::linalg::simd::dispatch;
 use crate::svd::katz_svd::ROUGH_TOLERANCE;
 use crate::svd::operator::KatzOperator;
 use basis::Basis;
+use factors::Factors;
 use polynomial::{FIT_COLUMNS, Polynomial, SINGLE_COLUMN_MULTIPLE, to_double};
 
 /// Vectors that are carried in addition to the wanted ones: the convergence of the last wanted one
@@ -37,6 +40,20 @@ const SMALL_SPACE_ROUNDS: usize = 1;
 
 /// Most nodes of a small graph.
 const SMALL_NODES: usize = 2048;
+
+/// Rounds after which the space grows, for the search to tell close neighbours in σ apart: most
+/// searches end before.
+const GROWTH_ROUND: usize = 20;
+
+/// Rounds of new directions that fit the space once it has grown. Neighbours in σ that are 1e-6 σ₁
+/// apart then take some sixty rounds; with two they take more than 600.
+const GROWN_SPACE_ROUNDS: usize = 6;
+
+/// Memory by which the space may grow. Graphs of a hundred thousand nodes need less.
+const MAX_GROWTH_BYTES: usize = 1 << 28;
+
+/// Rounds after which M is factorised, as the polynomial is too far from its inverse.
+const FACTOR_ROUND: usize = 60;
 
 /// Rounds after which the search gives up.
 const MAX_ROUNDS: usize = 300;
@@ -111,6 +128,8 @@ pub(crate) struct Triplets {
 pub(crate) struct Workspace {
     basis: Basis,
     polynomial: Polynomial,
+    /// Factors of M, where a search needs them.
+    factors: Option<Factors>,
     /// U + V Σ, later the new directions, n × carried.
     block: Aligned<f64>,
     /// Residuals and their images under the polynomial.
@@ -209,6 +228,22 @@ impl Search<'_> {
         out.width = width;
         let Workspace { basis, polynomial, sums, .. } = work;
         polynomial.fit(self.operator, self.parts, self.request.seed, &mut basis.space, sums);
+        work.factors = polynomial.is_poor().then(|| Factors::new(self.operator)).flatten();
+    }
+
+    /// Makes room for more directions between two restarts, and restarts with the best triplets.
+    fn grow(&mut self, out: &Triplets) {
+        let columns = self.request.rank.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
+        // V and S V.
+        let round_bytes = 2 * size_of::<f64>() * self.n * columns;
+        let rounds = GROWN_SPACE_ROUNDS.min(MAX_GROWTH_BYTES / round_bytes.max(1));
+        let capacity = self.width + rounds * columns;
+        if capacity > self.work.basis.stride {
+            let size = self.work.basis.size;
+            self.work.basis.prepare(self.n, capacity, FIT_COLUMNS.max(2 * self.width));
+            self.work.basis.size = size;
+            self.restart(out);
+        }
     }
 
     fn begin(&mut self, (block, stride): (&[f64], usize)) {
@@ -253,6 +288,13 @@ impl Search<'_> {
             if out.converged || out.rounds >= MAX_ROUNDS || whole {
                 return;
             }
+            match out.rounds {
+                GROWTH_ROUND => self.grow(out),
+                FACTOR_ROUND if self.work.factors.is_none() => {
+                    self.work.factors = Factors::new(self.operator);
+                }
+                _ => {}
+            }
             let wanted = self.choose(out);
             if wanted.next_multiple_of(COLUMN_MULTIPLE) > self.room() {
                 self.restart(out);
@@ -268,8 +310,16 @@ impl Search<'_> {
                 let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
                 to_double(&self.work.single[0][..self.n * stride], stride, directions, width);
             } else {
-                let Workspace { polynomial, single, .. } = &mut *self.work;
-                polynomial.apply(self.operator, self.parts, single, directions, width);
+                let Workspace { polynomial, factors, single, .. } = &mut *self.work;
+                match factors {
+                    Some(factors) => {
+                        let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
+                        factors.apply(&single[0], stride, directions, width);
+                    }
+                    None => {
+                        polynomial.apply(self.operator, self.parts, single, directions, width);
+                    }
+                }
             }
             let kept = self.expand(directions, width, columns);
             self.work.block = block;

@@ -112,6 +112,11 @@ impl KatzOperator {
         has_none(Orientation::Forward) && has_none(Orientation::Backward)
     }
 
+    /// Columns and weights of row `i` of αA or αAᵀ, in the inner order.
+    pub(crate) fn row(&self, orientation: Orientation, i: usize) -> (&[u32], &[f64]) {
+        self.rows(orientation).row(i)
+    }
+
     fn rows(&self, orientation: Orientation) -> &Rows {
         match orientation {
             Orientation::Forward => &self.forward,

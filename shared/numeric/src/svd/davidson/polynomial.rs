@@ -1,5 +1,7 @@
 //! The preconditioner: a polynomial in αA for (I − αA)⁻¹, in single precision.
 
+use std::ops::RangeInclusive;
+
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -9,8 +11,12 @@ use crate::linalg::parallel::{Parts, Strided};
 use crate::linalg::simd::dispatch;
 use crate::svd::operator::{KatzOperator, Orientation};
 
-/// Largest degree of the polynomial.
-const MAX_DEGREE: usize = 4;
+/// Largest degree of the polynomial for most graphs.
+const USUAL_DEGREE: usize = 4;
+
+/// Largest degree where walks grow for several steps before they fade, as in command trees with weak
+/// links back.
+const MAX_DEGREE: usize = 14;
 
 /// Least degree that is tried.
 const MIN_DEGREE: usize = 2;
@@ -20,14 +26,24 @@ const MIN_DEGREE: usize = 2;
 /// limit the rounds.
 const MAX_FIT_ERROR: f64 = 0.005;
 
+/// Error with [`USUAL_DEGREE`] from which higher degrees are tried. Below, more rounds cost less than
+/// a higher degree in each of them.
+const BAD_FIT_ERROR: f64 = 0.25;
+
+/// Error with [`MAX_DEGREE`] from which the inverse itself takes the place of the polynomial.
+const POOR_FIT_ERROR: f64 = 0.05;
+
 /// Random vectors of the fit: one register of them.
 const SAMPLE_VECTORS: usize = COLUMN_MULTIPLE;
 
-/// Powers of αA times the samples that the fit needs.
-const POWERS: usize = MAX_DEGREE + 2;
+/// Powers of αA times the samples that a fit of the largest degree needs.
+const MAX_POWERS: usize = MAX_DEGREE + 2;
 
-/// Vectors that the fit needs room for.
-pub(super) const FIT_COLUMNS: usize = POWERS * SAMPLE_VECTORS;
+/// Powers that a fit of the usual degree needs.
+const USUAL_POWERS: usize = USUAL_DEGREE + 2;
+
+/// Vectors that the usual fit needs room for.
+pub(super) const FIT_COLUMNS: usize = USUAL_POWERS * SAMPLE_VECTORS;
 
 /// Searches that one fit serves: it only speeds up the search, and graphs change little from frame
 /// to frame.
@@ -46,6 +62,8 @@ pub(super) struct Polynomial {
     /// Coefficients from the constant on.
     coefficients: [f64; MAX_DEGREE + 1],
     degree: usize,
+    /// Error of the fit on random vectors, relative to their length.
+    error: f64,
     nodes: usize,
     alpha: f64,
     /// Searches that the fit still serves.
@@ -73,48 +91,69 @@ impl Polynomial {
         }
         (self.nodes, self.alpha, self.left) = (n, alpha, FIT_SEARCHES);
         let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x9e37);
-        let (first, mut rest) = scratch[..n * FIT_COLUMNS].split_at_mut(n * SAMPLE_VECTORS);
-        first.fill_with(|| rng.random::<f64>() - 0.5);
-        let mut powers: [&[f64]; POWERS] = [first; POWERS];
-        for k in 1..POWERS {
-            let (next, others) = rest.split_at_mut(n * SAMPLE_VECTORS);
-            parts.run(Strided(&mut *next, SAMPLE_VECTORS), |rows, next| {
-                let (forward, width) = (Orientation::Forward, SAMPLE_VECTORS);
-                operator.multiply(forward, rows, powers[k - 1], width, width, next.0, width, 0);
-            });
-            powers[k] = next;
-            rest = others;
+        let block = n * SAMPLE_VECTORS;
+        let usual = &mut scratch[..n * FIT_COLUMNS];
+        usual[..block].fill_with(|| rng.random::<f64>() - 0.5);
+        extend_powers(operator, parts, usual, 1);
+        self.choose(parts, usual, sums, MIN_DEGREE..=USUAL_DEGREE);
+        // Written so that NaN is bad too.
+        if matches!(self.error, error if error <= BAD_FIT_ERROR) {
+            return;
         }
-        parts.sum(sums, POWERS * POWERS, (), |rows, (), sums| {
+        let mut all = vec![0.0; MAX_POWERS * block];
+        all[..usual.len()].copy_from_slice(usual);
+        extend_powers(operator, parts, &mut all, USUAL_POWERS);
+        self.choose(parts, &all, sums, USUAL_DEGREE + 1..=MAX_DEGREE);
+    }
+
+    /// True when not even the largest degree is near (I − B)⁻¹.
+    pub(super) fn is_poor(&self) -> bool {
+        self.degree > USUAL_DEGREE && !matches!(self.error, error if error <= POOR_FIT_ERROR)
+    }
+
+    /// Chooses the lowest of the degrees with a good fit, or else the largest. `powers`
+    /// holds the samples and as many powers of B times them as the largest degree needs.
+    fn choose(
+        &mut self,
+        parts: Parts,
+        powers: &[f64],
+        sums: &mut Vec<f64>,
+        degrees: RangeInclusive<usize>,
+    ) {
+        let count = degrees.end() + 2;
+        let mut blocks: [&[[f64; SAMPLE_VECTORS]]; MAX_POWERS] = [&[]; MAX_POWERS];
+        for (block, power) in blocks.iter_mut().zip(powers.chunks_exact(powers.len() / count)) {
+            *block = power.as_chunks::<SAMPLE_VECTORS>().0;
+        }
+        parts.sum(sums, count * count, (), |rows, (), sums| {
             dispatch(|| {
-                let registers = powers.map(|power| power.as_chunks::<SAMPLE_VECTORS>().0);
                 for row in rows.clone() {
-                    for i in 0..POWERS {
+                    for i in 0..count {
                         for j in 0..=i {
-                            let terms = registers[i][row].iter().zip(&registers[j][row]);
-                            sums[i * POWERS + j] += terms.map(|(a, b)| a * b).sum::<f64>();
+                            let terms = blocks[i][row].iter().zip(&blocks[j][row]);
+                            sums[i * count + j] += terms.map(|(a, b)| a * b).sum::<f64>();
                         }
                     }
                 }
             })
         });
-        let p = |i: usize, j: usize| sums[i.max(j) * POWERS + i.min(j)];
+        let p = |i: usize, j: usize| sums[i.max(j) * count + i.min(j)];
         // Normal equations for the columns Bᵏ b − Bᵏ⁺¹ b.
         let mut system = [[0.0; MAX_DEGREE + 1]; MAX_DEGREE + 1];
         let mut right = [0.0; MAX_DEGREE + 1];
-        for (i, (row, right)) in system.iter_mut().zip(&mut right).enumerate() {
-            for (j, entry) in row.iter_mut().enumerate() {
+        for (i, (row, right)) in system.iter_mut().zip(&mut right).enumerate().take(count - 1) {
+            for (j, entry) in row.iter_mut().enumerate().take(count - 1) {
                 *entry = p(i, j) - p(i + 1, j) - p(i, j + 1) + p(i + 1, j + 1);
             }
             *right = p(i, 0) - p(i + 1, 0);
         }
-        for degree in MIN_DEGREE..=MAX_DEGREE {
-            self.degree = degree;
-            self.coefficients = solve_small(system, right, degree + 1);
+        for degree in degrees {
+            let coefficients = solve_small(system, right, degree + 1);
             // Squared error: ‖b‖² minus the squared length of the fit.
-            let fitted: f64 =
-                self.coefficients.iter().zip(&right).map(|(c, right)| c * right).sum();
-            if p(0, 0) - fitted <= MAX_FIT_ERROR * MAX_FIT_ERROR * p(0, 0) {
+            let fitted: f64 = coefficients.iter().zip(&right).map(|(c, right)| c * right).sum();
+            let error = ((p(0, 0) - fitted).max(0.0) / p(0, 0)).sqrt();
+            (self.degree, self.coefficients, self.error) = (degree, coefficients, error);
+            if error <= MAX_FIT_ERROR {
                 break;
             }
         }
@@ -161,6 +200,20 @@ impl Polynomial {
             }
             std::mem::swap(&mut r, &mut z);
         }
+    }
+}
+
+/// Fills the powers of B times the samples from the power `from` on; those before are known.
+fn extend_powers(operator: &KatzOperator, parts: Parts, powers: &mut [f64], from: usize) {
+    let block = operator.nodes() * SAMPLE_VECTORS;
+    let (known, new) = powers.split_at_mut(from * block);
+    let mut last: &[f64] = &known[(from - 1) * block..];
+    for next in new.chunks_exact_mut(block.max(1)) {
+        parts.run(Strided(&mut *next, SAMPLE_VECTORS), |rows, next| {
+            let (forward, width) = (Orientation::Forward, SAMPLE_VECTORS);
+            operator.multiply(forward, rows, last, width, width, next.0, width, 0);
+        });
+        last = next;
     }
 }
 
