@@ -329,10 +329,9 @@ impl Oracle {
             }
             Message::Graph(delta) => self.graph = Some(Arc::clone(delta)),
             Message::Wishes(list) => {
-                if self.limits.wished(publisher, list) {
-                    // The next division is one under other wishes.
-                    self.divided = None;
-                }
+                let are_others = self.limits.wished(publisher, list);
+                // The next division is one under other wishes.
+                self.divided.take_if(|_| are_others);
             }
             Message::Outcome(outcome) => self.check_outcome(publisher, outcome)?,
             Message::Event(event) if service == ServiceName::Clusterer => {
