@@ -60,12 +60,13 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 21] = [
+pub const TARGETS: [Target; 22] = [
     target("packet", packets::packet, 2048, 30_000),
     target("envelope", packets::envelope, 2048, 30_000),
     target("robot_team", packets::robot_team, 2048, 20_000),
     target("katz", packets::katz, 2048, 20_000),
     target("why", packets::why, 4096, 10_000),
+    target("bridge", packets::bridge, 4096, 10_000),
     target("proposal", packets::proposal, 4096, 10_000),
     target("recording", recording::recording, 4096, 10_000),
     target("kept", kept::kept, 2048, 10_000),
