@@ -67,6 +67,7 @@ pub const TARGETS: [Target; 22] = [
     target("robot_team", packets::robot_team, 2048, 20_000),
     target("katz", packets::katz, 2048, 20_000),
     target("why", packets::why, 4096, 10_000),
+    target("bridge", packets::bridge, 4096, 10_000),
     target("proposal", packets::proposal, 4096, 10_000),
     target("recording", recording::recording, 4096, 10_000),
     target("kept", kept::kept, 2048, 10_000),

@@ -181,6 +181,26 @@ pub(crate) fn why(data: &[u8]) -> Outcome {
     Outcome::Accepted
 }
 
+/// A packet as [`foreign`] reads it, for an operator who asked what a bridge refuses.
+pub(crate) fn bridge(data: &[u8]) -> Outcome {
+    let Some(packet) = foreign(data) else { return Outcome::Refused };
+    let space = space();
+    let decode = |packet: &Packet| muster_wire::bridge::decode(&space, packet);
+    let Ok(state) = read(&packet, "reading the state of a bridge", decode) else {
+        return Outcome::Refused;
+    };
+    let key = space.format(&Key::Bridge(state.instance.clone()));
+    assert_eq!(key, packet.key, "a state comes from another key");
+    for refused in &state.refused {
+        text::check(&refused.topic, MAX_PROBLEM);
+        text::check(&refused.reason, MAX_REASON);
+    }
+    let again = decode(&muster_wire::bridge::encode(&space, state.clone())).unwrap();
+    assert_eq!((again.instance, again.robots), (state.instance, state.robots));
+    assert!(again.refused.len() <= state.refused.len());
+    Outcome::Accepted
+}
+
 /// A packet as [`foreign`] reads it, for a console that asked what the teams would be, and the payload of such a question.
 pub(crate) fn proposal(data: &[u8]) -> Outcome {
     let mut outcome = Outcome::Refused;

@@ -295,6 +295,10 @@ fn golden() -> Vec<Seed> {
     let json = std::fs::read_to_string(folder.join("why.json")).unwrap();
     let bytes = format!("p~why\n\n{json}").into_bytes();
     seeds.push(Seed { target: "why", name: "why-json".to_owned(), bytes });
+    let json = r#"{"instance": "host-1", "version": "0.1.0", "robots": 2, "received": 70, "reported": 20, "refused_topics": 1,
+        "refused": [{"topic": "0/r3/odom", "fault": "no_chain", "reason": "no transforms lead to map"}]}"#;
+    let bytes = format!("p~bridge/host-1\n\n{json}").into_bytes();
+    seeds.push(Seed { target: "bridge", name: "bridge-json".to_owned(), bytes });
     let json = std::fs::read_to_string(folder.join("proposal.json")).unwrap();
     let bytes = format!("p~propose/alice/p1\n\n{json}").into_bytes();
     seeds.push(Seed { target: "proposal", name: "proposal-json".to_owned(), bytes });
