@@ -459,3 +459,22 @@ async fn programs_of_ros_reach_each_other_at_a_router_for_ros_alone() {
     assert!(peers_reach_each_other(&up).await);
     assert!(!peers_reach_each_other(&["router"]).await, "then the flag would be of no use");
 }
+
+#[test]
+fn the_measurement_of_a_fleet_of_ros_counts_every_message_and_sees_teams() {
+    let arguments = ["--robots", "4", "--rate", "10", "--seconds", "5"];
+    let (code, out, err) = run("ros-load", &arguments, 4 * SOON).unwrap();
+    // On a busy machine the goal for the time may be missed, which is no fault of the measurement.
+    assert!(matches!(code, Some(0 | 1)), "{out}{err}");
+    let number = |before: &str| -> f64 {
+        let (_, rest) =
+            out.split_once(before).unwrap_or_else(|| panic!("no {before:?}: {out}{err}"));
+        let digits = rest.split(|c: char| !c.is_ascii_digit() && c != '.').next().unwrap();
+        digits.parse().unwrap()
+    };
+    // Four robots put odometry and transforms ten times a second.
+    let (put, received) = (number("messages put "), number("received by the bridge "));
+    assert!((40.0..=90.0).contains(&put) && (received - put).abs() < 8.0, "{out}");
+    assert!(number("p50 ") > 0.0 && number("p50 ") <= number("p99 "), "{out}");
+    assert!(out.contains("; 0 without a team in time"), "{out}");
+}
