@@ -43,7 +43,8 @@ fn nothing_is_published_before_the_term_has_begun() {
 
     bench.answer_fetch(inquiry, vec![]);
     let sent = bench.take();
-    assert_eq!(sent.settings, 1);
+    // At once, and with the first renewals of the lease.
+    assert_eq!(sent.settings, 2);
     assert_eq!(sent.events[0], EventKind::ServiceStarted { term: 1 });
     assert_eq!(short(&sent.division()), "t1: a b | t2: c d");
     assert_eq!(bench.stored, Stored { term: 1, ..Stored::default() });
