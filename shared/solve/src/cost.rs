@@ -234,7 +234,11 @@ impl Size {
     /// samples that the preconditioner is fitted to; the graph in two directions and precisions.
     fn search_bytes(&self) -> f64 {
         let carried = self.carried();
-        let doubles = 2.0 * self.search_width() + 6.0 * carried + 40.0;
+        // Whether the search is long enough for its space to grow is not known before. As it grows, both are held.
+        let SearchColumns { space, grown, .. } = self.columns();
+        let columns = if grown > space { space + grown } else { space };
+        let space = (columns as f64).min(2.0 * self.robots);
+        let doubles = 2.0 * space + 6.0 * carried + 40.0;
         let singles = 3.0 * (carried / 16.0).ceil() * 16.0;
         self.robots * (8.0 * doubles + 4.0 * singles) + 64.0 * self.edges
     }

@@ -158,6 +158,8 @@ pub struct SearchColumns {
     pub carried: usize,
     /// Directions that fit the space; as many images.
     pub space: usize,
+    /// The same once the space has grown, as it does where the search is long.
+    pub grown: usize,
 }
 
 /// Columns of a search for `rank` triplets of a graph of `nodes` nodes.
@@ -165,10 +167,16 @@ pub struct SearchColumns {
 pub fn search_columns(nodes: usize, rank: usize) -> SearchColumns {
     let carried = width_for(rank);
     let rounds = if nodes <= SMALL_NODES { SMALL_SPACE_ROUNDS } else { SPACE_ROUNDS };
-    SearchColumns {
-        carried,
-        space: carried + rounds * rank.next_multiple_of(SINGLE_COLUMN_MULTIPLE),
-    }
+    let space = carried + rounds * rank.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
+    SearchColumns { carried, space, grown: space.max(grown_space(nodes, rank, carried)) }
+}
+
+/// Directions that fit the space of a search for `rank` triplets once it has grown.
+fn grown_space(nodes: usize, rank: usize, carried: usize) -> usize {
+    let columns = rank.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
+    // V and S V.
+    let round_bytes = 2 * size_of::<f64>() * nodes * columns;
+    carried + GROWN_SPACE_ROUNDS.min(MAX_GROWTH_BYTES / round_bytes.max(1)) * columns
 }
 
 /// Values in a row of the triplets for a wanted rank.
@@ -233,11 +241,7 @@ impl Search<'_> {
 
     /// Makes room for more directions between two restarts, and restarts with the best triplets.
     fn grow(&mut self, out: &Triplets) {
-        let columns = self.request.rank.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
-        // V and S V.
-        let round_bytes = 2 * size_of::<f64>() * self.n * columns;
-        let rounds = GROWN_SPACE_ROUNDS.min(MAX_GROWTH_BYTES / round_bytes.max(1));
-        let capacity = self.width + rounds * columns;
+        let capacity = grown_space(self.n, self.request.rank, self.width);
         if capacity > self.work.basis.stride {
             let size = self.work.basis.size;
             self.work.basis.prepare(self.n, capacity, FIT_COLUMNS.max(2 * self.width));
