@@ -33,6 +33,9 @@ const SPACING_M: f64 = 2.0;
 /// How many robots stand in a row.
 const PER_ROW: usize = 16;
 
+/// How far robots sway to and fro.
+const SWAY_M: f64 = 0.5;
+
 /// How long a robot stays at least, and within what time more it goes: no multiple of a tick, so that all phases occur.
 const STAYS: (Duration, Duration) = (Duration::from_millis(300), Duration::from_millis(200));
 
@@ -320,7 +323,9 @@ pub fn drive(client: &Client, load: Load, counts: &Counts) -> anyhow::Result<()>
                 note_move(counts, &robot_name(number));
             }
             let Some(template) = rows.get_mut(&(number / PER_ROW)) else { continue };
-            robot.odom.put(template.with(robot.x))?;
+            // Robots are never quite still, so that every frame of the fleet is another one.
+            let sway = SWAY_M * begin.elapsed().as_secs_f64().sin();
+            robot.odom.put(template.with(robot.x + sway))?;
             robot.tf.put(&tf_bytes)?;
             counts.put.fetch_add(2, Ordering::Relaxed);
         }
