@@ -74,9 +74,6 @@ pub(crate) struct Request {
     pub(crate) exact: usize,
     /// Largest of [`Triplets::residuals`].
     pub(crate) tolerance: f64,
-    /// Random directions in addition to the start, which find what the start does not contain at
-    /// all.
-    pub(crate) probes: usize,
     /// Seed of the random directions.
     pub(crate) seed: u64,
     /// Number of threads of the pool around the search, 1 without one.
@@ -147,6 +144,38 @@ impl Workspace {
     /// overwrites it.
     pub(crate) fn scratch(&mut self) -> &mut [f64] {
         &mut self.basis.space
+    }
+
+    /// Writes approximately (MᵀM)⁻¹ r to `out` for the n × `width` block r, after a search for at
+    /// least as many vectors of the same graph or a similar one.
+    pub(crate) fn precondition(
+        &mut self,
+        operator: &KatzOperator,
+        parts: Parts,
+        r: &[f64],
+        out: &mut [f64],
+        width: usize,
+    ) {
+        let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
+        let rows = self.single[0].chunks_exact_mut(stride).zip(r.chunks_exact(width));
+        for (to, from) in rows {
+            let (to, padding) = to.split_at_mut(width);
+            padding.fill(0.0);
+            for (to, from) in to.iter_mut().zip(from) {
+                *to = *from as f32;
+            }
+        }
+        self.apply(operator, parts, out, width);
+    }
+
+    /// The same for the residuals in the first of the blocks in single precision.
+    fn apply(&mut self, operator: &KatzOperator, parts: Parts, out: &mut [f64], width: usize) {
+        let Self { polynomial, factors, single, .. } = self;
+        let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
+        match factors {
+            Some(factors) => factors.apply(&single[0], stride, out, width),
+            None => polynomial.apply(operator, parts, single, out, width),
+        }
     }
 }
 
@@ -251,7 +280,7 @@ impl Search<'_> {
         if columns > 0 {
             self.expand(block, stride, columns);
         }
-        let missing = self.width.saturating_sub(self.work.basis.size).max(self.request.probes);
+        let missing = self.width.saturating_sub(self.work.basis.size);
         let columns = missing.next_multiple_of(COLUMN_MULTIPLE).min(self.width).min(self.room());
         if columns > 0 {
             let mut block = std::mem::take(&mut self.work.block);
@@ -310,16 +339,7 @@ impl Search<'_> {
                 let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
                 to_double(&self.work.single[0][..self.n * stride], stride, directions, width);
             } else {
-                let Workspace { polynomial, factors, single, .. } = &mut *self.work;
-                match factors {
-                    Some(factors) => {
-                        let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
-                        factors.apply(&single[0], stride, directions, width);
-                    }
-                    None => {
-                        polynomial.apply(self.operator, self.parts, single, directions, width);
-                    }
-                }
+                self.work.apply(self.operator, self.parts, directions, width);
             }
             let kept = self.expand(directions, width, columns);
             self.work.block = block;
@@ -518,8 +538,7 @@ mod tests {
                 let full = full_svd(&katz_similarity(&a, alpha, &radius).unwrap()).unwrap();
                 let mut operator = KatzOperator::default();
                 operator.assign(&a, alpha, false, 1);
-                let request =
-                    Request { rank: 8, exact: 8, tolerance: 1e-9, probes: 0, seed: 5, threads: 1 };
+                let request = Request { rank: 8, exact: 8, tolerance: 1e-9, seed: 5, threads: 1 };
                 let mut out = Triplets::default();
                 leading_triplets(
                     &operator,

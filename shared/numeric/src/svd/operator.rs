@@ -26,9 +26,8 @@ pub(crate) struct KatzOperator {
     backward: Rows,
     /// A new row.
     row: (Vec<u32>, Vec<f64>),
-    /// Largest row sum of αA at the last assignment, and including the rows replaced since.
+    /// Largest row sum of αA at the last assignment.
     heaviest: f64,
-    newest: f64,
 }
 
 /// Orientation of a product.
@@ -60,18 +59,11 @@ impl KatzOperator {
         let order = (!self.natural).then_some((&self.outer[..], &self.inner[..]));
         self.heaviest = self.forward.assign(a, alpha, order, threads);
         self.backward.assign_transpose(&self.forward, threads);
-        self.newest = self.heaviest;
     }
 
-    /// True when a replaced row is heavier than all rows were before: it may be the core of a new
-    /// singular triplet.
-    pub(crate) fn has_grown(&self) -> bool {
-        self.newest > self.heaviest
-    }
-
-    /// Makes the present weights the ones that later rows are compared with.
-    pub(crate) fn accept_weights(&mut self) {
-        self.heaviest = self.newest;
+    /// Largest row sum of αA at the last assignment.
+    pub(crate) fn heaviest(&self) -> f64 {
+        self.heaviest
     }
 
     fn find_order(&mut self, a: &SparseMatrix) {
@@ -153,7 +145,6 @@ impl KatzOperator {
         if old == columns && old_weights == weights {
             return false;
         }
-        self.newest = self.newest.max(weights.iter().sum());
         // Both rows ascend: one merge finds the new weight of each column.
         let (mut k, mut l) = (0, 0);
         while k < old.len() || l < columns.len() {

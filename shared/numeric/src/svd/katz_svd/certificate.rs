@@ -144,6 +144,11 @@ impl Certificate {
         !self.scratch.changed.is_empty()
     }
 
+    /// Rows that have changed and columns in which they have or had entries, in the inner order.
+    pub(super) fn touched(&self) -> impl Iterator<Item = u32> {
+        self.scratch.changed.iter().chain(&self.scratch.touched).copied()
+    }
+
     /// Updates the sums, and the triplets with them, by the replaced rows. False when V is no
     /// longer a basis: the sums are lost then.
     pub(super) fn update(

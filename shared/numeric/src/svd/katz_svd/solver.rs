@@ -5,27 +5,32 @@ use std::sync::OnceLock;
 use super::certificate::Certificate;
 use super::error::{KatzSvdError, check};
 use super::options::KatzSvdOptions;
+use super::probe::{Known, MAX_LOCAL_NODES, Probe};
 use crate::linalg::Aligned;
 use crate::linalg::matrix::SparseMatrix;
 use crate::linalg::parallel::{Parts, Strided, Threads};
 use crate::radius::exact::SpectralRadius;
 use crate::svd::davidson::{
-    Request, SearchRound, Triplets, Workspace, leading_triplets, width_for,
+    NULL_VALUE_RATIO, Request, SearchRound, Triplets, Workspace, leading_triplets, width_for,
 };
-use crate::svd::operator::KatzOperator;
+use crate::svd::operator::{KatzOperator, Orientation};
 
-/// Searches between two that add random directions to those of the previous frame.
-pub const PROBE_SEARCHES: u64 = 20;
+/// Steps of the probe in a row that find nothing, after which nothing is missing as far as it can
+/// tell: a direction at random turns to a strong group within four to six.
+pub const PROBE_STEPS: u32 = 6;
 
-/// Updates after which random directions are due as well, by a search if necessary: a few changed
-/// rows bring a new triplet to the front more rarely than a change of all of them.
-pub const PROBE_UPDATES: u64 = 500;
+/// Updates after which a step of the probe is due: what has changed is looked at in each of them.
+pub const PROBE_UPDATES: u32 = 64;
 
-/// Updates that one search counts for.
-const SEARCH_UPDATES: u64 = PROBE_UPDATES / PROBE_SEARCHES;
+/// Searches of one frame: each one that the probe asks for begins with what it has found.
+const FRAME_SEARCHES: usize = 3;
 
-/// Random directions that are added.
-pub const PROBE_DIRECTIONS: usize = 8;
+/// Rows that have grown most since the last frame, which are looked at together with their
+/// neighbours.
+const GROWN_ROWS: usize = 16;
+
+/// Growth of a row, relative to the heaviest one, after which the probe has to begin anew.
+const ABRUPT_GROWTH: f64 = 0.05;
 
 /// One row in this many may change for an update row by row. Beyond that, a pass over all rows,
 /// which needs no bookkeeping, takes as long.
@@ -57,6 +62,10 @@ pub struct KatzSvdReport {
     pub residual: f64,
     /// True when the residual is within the tolerance. If not, decompose the whole of S.
     pub converged: bool,
+    /// True when no stronger triplet is missing as far as probes can tell: since the last abrupt
+    /// change, [`PROBE_STEPS`] of them have found none, or the search began cold. Until then the
+    /// gap and the angles hold for the known triplets only.
+    pub complete: bool,
 }
 
 /// Receives each finished round of a search.
@@ -93,10 +102,13 @@ pub struct KatzSvd {
     pub(super) rank: usize,
     /// Searches so far.
     searches: u64,
-    /// Updates until random directions are due.
-    until_probe: u64,
-    /// True when the graph has not changed since the last random directions.
-    is_probed: bool,
+    probe: Probe,
+    /// Steps of the probe in a row that have found nothing.
+    quiet: u32,
+    /// Updates until a step of the probe is due.
+    until_probe: u32,
+    /// Rows that have grown most, with their growth.
+    grown: Vec<(f64, usize)>,
 }
 
 /// W = V + UΣ of the last frame in the order of the operator, n × `width`. The W of the frame
@@ -106,6 +118,24 @@ struct Start {
     directions: Aligned<f64>,
     /// 0 for a cold start.
     width: usize,
+}
+
+impl Start {
+    /// Replaces a column.
+    fn replace(&mut self, place: usize, values: impl Iterator<Item = f64>) {
+        for (row, value) in self.directions.chunks_exact_mut(self.width).zip(values) {
+            row[place] = value;
+        }
+    }
+
+    /// Replaces the last column by one that is zero except for some nodes.
+    fn replace_weakest(&mut self, values: impl Iterator<Item = (usize, f64)>) {
+        let place = self.width - 1;
+        self.replace(place, std::iter::repeat(0.0));
+        for (node, value) in values {
+            self.directions[node * self.width + place] = value;
+        }
+    }
 }
 
 impl KatzSvd {
@@ -189,7 +219,6 @@ impl KatzSvd {
             && self.alpha.to_bits() == alpha.to_bits()
             && self.triplets.finite
             && self.start.width == width_for(options.rank)
-            && self.until_probe > 0
     }
 
     /// Changed rows up to which an update row by row pays.
@@ -226,19 +255,6 @@ impl KatzSvd {
         let Self { operator, work, triplets, start, threads, certificate, .. } = self;
         certificate.replace_rows(operator, a, &self.changed);
         let changed = certificate.has_changes();
-        self.is_probed &= !changed;
-        let elapsed = match (changed, self.is_probed) {
-            (true, _) => 1,
-            // A frame without changes leaves time for random directions.
-            (false, false) => SEARCH_UPDATES,
-            (false, true) => 0,
-        };
-        self.until_probe = self.until_probe.saturating_sub(elapsed);
-        if operator.has_grown() {
-            // Only random directions find a triplet that none of the previous ones leads to.
-            self.until_probe = 0;
-            return None;
-        }
         if changed {
             let recompute = !certificate.valid
                 || certificate.updates >= MAX_SUM_UPDATES
@@ -260,8 +276,135 @@ impl KatzSvd {
                 return None;
             }
         }
-        let report = self.report(options, 0);
-        report.converged.then_some(report)
+        let converged = self.report(options, 0).converged;
+        if changed {
+            self.until_probe = self.until_probe.saturating_sub(1);
+            if self.certificate.touched().count() > MAX_LOCAL_NODES {
+                self.quiet = 0;
+            }
+            if self.finds_locally(options) {
+                return None;
+            }
+        }
+        if !converged {
+            return None;
+        }
+        let due = self.quiet < PROBE_STEPS || self.until_probe == 0;
+        if due && self.finds_by_step(options) {
+            return None;
+        }
+        Some(self.report(options, 0))
+    }
+
+    /// The known triplets, for the probe.
+    fn known<'a>(triplets: &'a Triplets, certificate: &'a Certificate) -> Known<'a> {
+        let Triplets { width, right, image, sigma, .. } = triplets;
+        let rotation = certificate.valid.then_some(&certificate.rotation[..]);
+        Known { right, image, width: *width, rotation, sigma }
+    }
+
+    /// Singular values from this one on would be among those that are asked for.
+    fn threshold(&self, options: KatzSvdOptions) -> f64 {
+        let sigma = &self.triplets.sigma;
+        let at = |place: usize| sigma.get(place).copied().unwrap_or(f64::INFINITY);
+        // The known values are exact to the tolerance.
+        at(options.rank - 1) + (options.tolerance + NULL_VALUE_RATIO) * at(0)
+    }
+
+    /// True when all nodes fit the known triplets: nothing can be missing then.
+    fn is_whole(&self) -> bool {
+        self.nodes <= self.triplets.width
+    }
+
+    /// Looks at the rows that have changed and their neighbours. True when a triplet is missing
+    /// there; the next search begins with it.
+    fn finds_locally(&mut self, options: KatzSvdOptions) -> bool {
+        if self.is_whole() {
+            return false;
+        }
+        let threshold = self.threshold(options);
+        let Self { operator, triplets, certificate, probe, start, .. } = self;
+        let value =
+            probe.look_at(operator, certificate.touched(), Self::known(triplets, certificate));
+        if value > threshold {
+            start.replace_weakest(probe.local_direction());
+            self.quiet = 0;
+        }
+        value > threshold
+    }
+
+    /// One step of the probe. True when a triplet is missing; the next search begins with it.
+    fn finds_by_step(&mut self, options: KatzSvdOptions) -> bool {
+        self.until_probe = PROBE_UPDATES;
+        if self.is_whole() {
+            return false;
+        }
+        let threshold = self.threshold(options);
+        let threads = std::mem::take(&mut self.threads);
+        let parts = Parts::new(self.nodes, threads.count());
+        let found = threads.run(|| self.step(options, parts, threshold));
+        self.threads = threads;
+        found
+    }
+
+    /// The same, within the pool.
+    fn step(&mut self, options: KatzSvdOptions, parts: Parts, threshold: f64) -> bool {
+        let Self { operator, triplets, certificate, probe, start, work, .. } = self;
+        let known = Self::known(triplets, certificate);
+        let values = probe.measure(operator, parts, known, options.seed);
+        let found = values.first().is_some_and(|value| *value > threshold);
+        // While the sums belong to the start, it must stay as it is unless a search follows.
+        if found || !certificate.valid {
+            let weakest = (options.rank..start.width.min(triplets.sigma.len())).rev();
+            let stronger = weakest.zip(values.iter().copied().enumerate());
+            let stronger =
+                stronger.take_while(|(place, (_, value))| *value > triplets.sigma[*place]);
+            let count = stronger.count();
+            for j in 0..count {
+                start.replace(start.width.min(triplets.sigma.len()) - 1 - j, probe.direction(j));
+            }
+        }
+        probe.advance(operator, parts, work);
+        self.quiet = if found { 0 } else { self.quiet.saturating_add(1) };
+        found
+    }
+
+    /// Finds the rows of αA that have grown most since the last frame, whose nodes are the same.
+    fn find_grown(&mut self, a: &SparseMatrix, alpha: f64) {
+        self.grown.clear();
+        for i in 0..a.nodes() {
+            let (mut before, mut now) = (self.graph.row(i).peekable(), a.row(i));
+            let mut growth = 0.0;
+            for (j, weight) in now.by_ref() {
+                while before.next_if(|(column, _)| *column < j).is_some() {}
+                let old = before.next_if(|(column, _)| *column == j).map_or(0.0, |(_, w)| w);
+                growth += (alpha * weight - self.alpha * old).max(0.0);
+            }
+            let place = self.grown.partition_point(|(other, _)| *other >= growth);
+            if growth > 0.0 && place < GROWN_ROWS {
+                self.grown.truncate(GROWN_ROWS - 1);
+                self.grown.insert(place, (growth, i));
+            }
+        }
+    }
+
+    /// Looks at the rows that have grown most, with the triplets of the last frame, and lets the
+    /// search begin with what is stronger there than the weakest of them.
+    fn look_at_grown(&mut self) {
+        let Self { operator, triplets, certificate, probe, start, grown, .. } = self;
+        let heaviest = operator.heaviest();
+        if grown.first().is_some_and(|(growth, _)| *growth > ABRUPT_GROWTH * heaviest) {
+            self.quiet = 0;
+        }
+        let rows = grown.iter().map(|(_, i)| operator.inner()[*i]);
+        let nodes = rows.flat_map(|i| {
+            let ends = |orientation| operator.row(orientation, i as usize).0.iter().copied();
+            [i].into_iter().chain(ends(Orientation::Forward)).chain(ends(Orientation::Backward))
+        });
+        let value = probe.look_at(operator, nodes, Self::known(triplets, certificate));
+        if triplets.sigma.last().is_some_and(|last| value > *last) {
+            start.replace_weakest(probe.local_direction());
+        }
     }
 
     /// Copies the changed rows into the kept graph where that is cheap.
@@ -288,46 +431,70 @@ impl KatzSvd {
         threads: usize,
         progress: &mut Progress<'_>,
     ) -> KatzSvdReport {
-        let Input { graph, alpha, options, .. } = input;
-        if !is_current || self.searches.is_multiple_of(REORDER_SEARCHES) {
+        let Input { graph, alpha, options, previous } = input;
+        let reorders = previous.is_some() || self.searches.is_multiple_of(REORDER_SEARCHES);
+        let is_cold = self.start.width == 0;
+        let is_next = !is_cold && !reorders && self.triplets.finite && !self.is_whole();
+        if !is_current && is_next && self.start.width == width_for(options.rank) {
+            self.find_grown(graph, alpha);
+            self.assign(input, threads);
+            self.look_at_grown();
+        } else if !is_current || reorders {
             self.assign(input, threads);
         } else {
             self.graph.copy_from(graph);
         }
-        self.operator.accept_weights();
         self.alpha = alpha;
         self.stale.clear();
         self.certificate.valid = false;
         self.rotated = OnceLock::new();
-        let probed = self.until_probe < SEARCH_UPDATES;
-        let request = Request {
-            rank: options.rank,
-            exact: options.exact(),
-            tolerance: options.tolerance * if is_current { UPDATE_TOLERANCE_FACTOR } else { 1.0 },
-            probes: if probed { PROBE_DIRECTIONS } else { 0 },
-            seed: options.seed.wrapping_add(self.searches),
-            threads,
-        };
-        let Self { operator, work, triplets, start, .. } = self;
-        let first = (&*start.directions, start.width);
-        leading_triplets(operator, request, first, work, triplets, progress);
-        self.until_probe = if probed { PROBE_UPDATES } else { self.until_probe - SEARCH_UPDATES };
-        self.is_probed = probed;
-        self.keep_start(threads);
-        self.report(options, self.triplets.rounds)
+        let parts = Parts::new(self.nodes, threads);
+        let mut rounds = 0;
+        for _ in 0..FRAME_SEARCHES {
+            let factor = if is_current { UPDATE_TOLERANCE_FACTOR } else { 1.0 };
+            let request = Request {
+                rank: options.rank,
+                exact: options.exact(),
+                tolerance: options.tolerance * factor,
+                seed: options.seed.wrapping_add(self.searches),
+                threads,
+            };
+            let Self { operator, work, triplets, start, .. } = self;
+            let first = (&*start.directions, start.width);
+            leading_triplets(operator, request, first, work, triplets, progress);
+            rounds += self.triplets.rounds;
+            self.keep_start(threads);
+            if self.is_whole() || !self.triplets.finite {
+                self.quiet = PROBE_STEPS;
+                break;
+            }
+            let threshold = self.threshold(options);
+            if !self.step(options, parts, threshold) {
+                if is_cold {
+                    // It began with more random directions than there are triplets.
+                    self.quiet = PROBE_STEPS;
+                }
+                break;
+            }
+        }
+        self.until_probe = PROBE_UPDATES;
+        self.searches += u64::from(self.triplets.finite);
+        self.report(options, rounds)
     }
 
     fn report(&self, options: KatzSvdOptions, rounds: usize) -> KatzSvdReport {
         let residuals = self.triplets.residuals.iter().take(options.exact());
         let residual = residuals.fold(0.0, |top: f64, residual| residual.max(top));
-        KatzSvdReport { rounds, residual, converged: residual <= options.tolerance }
+        let converged = residual <= options.tolerance;
+        KatzSvdReport { rounds, residual, converged, complete: self.quiet >= PROBE_STEPS }
     }
 
     /// Discards the previous frames: the next solve starts cold.
     pub fn forget(&mut self) {
         self.start.width = 0;
         self.searches = 0;
-        self.until_probe = 0;
+        self.quiet = 0;
+        self.probe.forget();
     }
 
     /// Refuses a correspondence that does not fit, and discards frames of other nodes.
@@ -373,11 +540,15 @@ impl KatzSvd {
             }
         }
         *directions = moved;
+        let outer = self.operator.outer();
+        self.probe.rearrange(self.nodes, |i| {
+            let old = previous.map_or(Some(outer[i] as usize), |old| old[outer[i] as usize]);
+            old.map(|old| before[old] as usize)
+        });
     }
 
     /// Keeps W = V + UΣ for the next frame.
     fn keep_start(&mut self, threads: usize) {
-        self.searches += 1;
         if !self.triplets.finite {
             self.forget();
             return;
