@@ -108,8 +108,8 @@ fn every_promise_holds_for_three_hundred_seeds() {
     assert!(total.events > SEEDS * 2000, "{}", total.events);
 }
 
-/// How many of the fresh seeds may break a promise. Of some ten thousand fresh ones about one in a thousand did, each with a
-/// cause of its own; those are mended, and of the present code no seed is known that breaks one.
+/// How many of the fresh seeds may break a promise. Of the last 7,000 nine did, each with a cause of its own, and eight hold now.
+/// 120006857 does not: the judge compares the first division after other wishes, which was begun before them, with the next one.
 const KNOWN_FAILURES: usize = 1;
 
 /// Seeds that broke a promise once, and what it was.
