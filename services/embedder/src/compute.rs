@@ -21,6 +21,7 @@ use muster_model::settings::{EmbedderSettings, TeamCount};
 use muster_model::why::Why;
 use muster_service::Stopwatch;
 use muster_service::following::Frame;
+use muster_wire::kept::KeptShape;
 
 use crate::reasons::{self, explain};
 
@@ -67,6 +68,8 @@ pub(crate) enum Task {
         basis: Box<Basis>,
         /// The embedding that the new one is aligned with.
         previous: Option<Checked<Embedding>>,
+        /// What the new one goes on from where there is none.
+        shape: Option<KeptShape>,
     },
     /// The similarity of pairs of robots, by the graphs of the last embedding.
     Compare(Vec<[RobotId; 2]>),
@@ -115,7 +118,12 @@ pub(crate) struct Computed {
 pub(crate) fn run(job: Job, stopwatch: &mut Stopwatch) -> Done {
     let Job { task, mut memory } = job;
     let result = match task {
-        Task::Embed { frame, basis, previous } => {
+        Task::Embed { frame, basis, previous, shape } => {
+            let is_first = previous.is_none() && memory.frames.robots().is_empty();
+            if let Some(shape) = shape.filter(|_| is_first) {
+                let teams = (shape.teams > 0).then_some(shape.teams);
+                memory.frames.resume(teams, shape.rank as usize);
+            }
             let result = compute(&frame, &basis, previous.as_deref(), &mut memory, stopwatch);
             Outcome::Embedded { frame, basis, result: result.map(Box::new) }
         }

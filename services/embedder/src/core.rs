@@ -28,6 +28,7 @@ use crate::compute::{Basis, Done, Job, Memory, Outcome, Task, run};
 use crate::doubt::Doubts;
 use crate::pairs::Questions;
 use crate::reasons::{self, ReasonQueue};
+use crate::shape::Shape;
 use crate::teams::TeamsWanted;
 
 type Context<'a> = muster_service::Context<'a, Embedder>;
@@ -51,6 +52,8 @@ pub enum EmbedderFetch {
     ClustererSettings,
     /// The division and the wishes, for somebody who asks why a robot is in its team.
     Division,
+    /// The embedding of the leader, for a standby.
+    Embedding,
 }
 
 /// The last job that was started.
@@ -89,6 +92,8 @@ pub struct Embedder {
     last_side_job: LastJob,
     /// The last good embedding, at first the one of the leader before.
     embedding: Option<Checked<Embedding>>,
+    /// What the last embedding showed, as far as it is kept over a restart.
+    shape: Shape,
     /// What the embedding rests on, and when it was last published; none for a fetched one.
     published: Option<(Basis, Tick)>,
     /// What the last embedding was computed from, and when.
@@ -110,6 +115,8 @@ impl Core for Embedder {
     type Job = Job;
     type Done = Done;
     const SERVICE: ServiceName = ServiceName::Embedder;
+    const WITHOUT_KEPT: Option<&'static str> =
+        Some("a number of teams may be chosen that is hardly better than the last one");
 
     fn wiring() -> Wiring {
         let subscription = |pattern, delivery| Subscription { pattern, delivery };
@@ -164,13 +171,14 @@ impl Core for Embedder {
     }
 
     fn on_follow(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
+        self.note_shape(context, &answers);
         self.accept_answers(context, answers);
     }
 
     fn on_stand_down(&mut self, context: &mut Context<'_>) {
         self.questions.refuse("another instance has taken over; ask again", context);
         self.reasons.refuse("another instance has taken over; ask again", true, context);
-        *self = Self::default();
+        *self = Self { shape: std::mem::take(&mut self.shape), ..Self::default() };
     }
 
     fn on_new_term(&mut self, context: &mut Context<'_>, _found: Vec<Message>) {
@@ -201,6 +209,7 @@ impl Core for Embedder {
             EmbedderFetch::Frame => self.accept_answers(context, answers),
             EmbedderFetch::ClustererSettings => self.settings_answered(context, &answers),
             EmbedderFetch::Division => self.reasons.fetched(context, &answers),
+            EmbedderFetch::Embedding => self.note_shape(context, &answers),
         }
     }
 
@@ -236,6 +245,14 @@ impl Core for Embedder {
         if let Some((frame, basis, computed)) = result {
             self.accept_embedding(context, frame, *basis, *computed);
         }
+    }
+
+    fn on_restored(&mut self, content: &[u8]) -> Result<(), String> {
+        self.shape.restore(content)
+    }
+
+    fn on_kept(&mut self, context: &mut Context<'_>, is_on_disk: bool) {
+        self.shape.write_ended(context.now(), is_on_disk);
     }
 
     fn on_get(&mut self, context: &mut Context<'_>, get: Get) {
@@ -312,6 +329,13 @@ impl Core for Embedder {
             context.count("fetches");
             context.fetch_within(EmbedderFetch::Frame, patterns, within);
         }
+        if context.replica_state() == ReplicaState::Standby && self.shape.ask_due() <= now {
+            self.shape.asked(now);
+            context.fetch(EmbedderFetch::Embedding, vec![Pattern::One(Key::Embedding)]);
+        }
+        if let Some(content) = self.shape.write(now) {
+            context.keep(content);
+        }
         if !context.is_leading() {
             return;
         }
@@ -348,14 +372,17 @@ impl Core for Embedder {
 
     fn deadline(&self, view: &View<'_>) -> Option<Tick> {
         let follow = self.follow.fetch_due().filter(|_| follows(view));
+        let write = self.shape.write_due();
         if !view.is_leading() {
-            return follow;
+            let is_standby = view.replica_state() == ReplicaState::Standby;
+            let ask = is_standby.then(|| self.shape.ask_due());
+            return [follow, write, ask].into_iter().flatten().min();
         }
         let retry = self.flight.retry_at().filter(|_| !view.is_job_running());
         let retry = retry.filter(|_| self.wanted().is_some());
-        let due =
-            [follow, Some(self.teams.due()), retry, self.heartbeat, self.rest, self.orders_old];
-        due.into_iter().flatten().min()
+        let due = [follow, write, Some(self.teams.due()), retry, self.heartbeat];
+        let due = due.into_iter().chain([self.rest, self.orders_old]);
+        due.flatten().min()
     }
 
     /// What the service is doing, in a few words.
@@ -444,6 +471,14 @@ impl Embedder {
         context.start_job(slot, Job { task, memory });
     }
 
+    /// Notes what the leader has published, for the time when this instance leads.
+    fn note_shape(&mut self, context: &Context<'_>, found: &[Message]) {
+        self.shape.asked(context.now());
+        if let Some(embedding) = newest_embedding(found) {
+            self.shape.note(&embedding);
+        }
+    }
+
     /// The newest frame, if it is to have an embedding. That of an empty fleet is published only where
     /// there was one before: robots that have left must not stay in a division.
     fn wanted(&self) -> Option<&Arc<Frame>> {
@@ -486,10 +521,11 @@ impl Embedder {
         context.count("jobs_started");
         self.last_job = LastJob::Embedding;
         self.flight.started(basis.clone());
-        let previous = self.embedding.clone();
+        let (previous, shape) = (self.embedding.clone(), self.shape.newest());
         let memory = self.memory.take().unwrap_or_default();
         let basis = Box::new(basis);
-        context.start_job(slot, Job { task: Task::Embed { frame, basis, previous }, memory });
+        context
+            .start_job(slot, Job { task: Task::Embed { frame, basis, previous, shape }, memory });
     }
 
     /// The own output, and what was last received of `ingest`.

@@ -23,6 +23,7 @@ mod core;
 mod doubt;
 mod pairs;
 mod reasons;
+mod shape;
 mod teams;
 
 pub use crate::compute::{Done, Job};

@@ -55,6 +55,9 @@ pub struct Decomposition {
     pub residual: f64,
     /// Whether the residual is within the tolerance.
     pub converged: bool,
+    /// Whether no stronger triplet is missing, as far as can be told: only then do residual and gap bound the
+    /// angles to the true subspaces. See [`KatzSvdReport::complete`].
+    pub complete: bool,
     /// S, where it was formed.
     pub similarity: Option<DenseMatrix>,
     /// Largest |M S z − α A z| for random signs z, relative to what rounding is relative to; none where S is never formed.
@@ -241,6 +244,7 @@ impl Decomposer {
             path: Path::Dense,
             mode,
             converged: true,
+            complete: true,
             similarity: Some(matrix),
             probe: Some(probe),
         })
@@ -376,6 +380,7 @@ impl LeadingTriplets {
             mode,
             residual: report.residual,
             converged: report.converged,
+            complete: report.complete,
             similarity: None,
             probe: None,
         })

@@ -70,6 +70,8 @@ pub struct Frames {
     new_orders: Vec<RobotId>,
     /// How many teams the last frame showed.
     teams: Option<u32>,
+    /// K of the last frame of a run before this one; none once there is a frame.
+    rank: Option<usize>,
     pub(crate) last: Option<LastGraph>,
 }
 
@@ -84,7 +86,8 @@ pub(crate) struct LastGraph {
 
 impl Frames {
     /// The embedding of the next frame. `previous` is the embedding that the columns of X are turned onto,
-    /// over the robots that both have; the rule for K may keep its dimension.
+    /// over the robots that both have; the rule for K may keep its dimension, and the number of teams that it showed is kept
+    /// where these are the first frame.
     ///
     /// # Errors
     /// [`MethodError`]; the next frame begins with what is left of those before.
@@ -117,20 +120,20 @@ impl Frames {
         let decomposition = if fused.is_zero() {
             of_no_edges(fused.nodes(), params)?
         } else {
-            let rank = previous.map(|embedding| embedding.dimension as usize / 2);
+            let rank = previous.map(|embedding| embedding.dimension as usize / 2).or(self.rank);
             let cut = Cut::new(params, &fused, rank);
             let counted = Counted {
                 relations: &relations,
                 params,
                 alpha: decay.alpha,
-                previous: self.teams,
+                previous: self.teams.or_else(|| previous?.quality.teams_shown),
                 linked: &linked(&fused),
             };
             let robots = &frame.robots;
             let task = Task { fused: &fused, decay: &decay, robots, params, cut: &cut, counted };
             self.decomposer.decompose(&mut self.similarity, task, progress)?
         };
-        self.teams = Some(decomposition.teams.teams);
+        (self.teams, self.rank) = (Some(decomposition.teams.teams), None);
         let svd = &decomposition.svd;
         let embedded = embed_powers(svd, params.power, params.rows);
         let x = match previous {
@@ -154,6 +157,12 @@ impl Frames {
     /// kept unless another is clearly better.
     pub fn set_teams_shown(&mut self, teams: Option<u32>) {
         self.teams = teams;
+    }
+
+    /// The first frame goes on from one of which the vectors are lost, with so many teams and triplets: both are kept unless
+    /// others are clearly better.
+    pub fn resume(&mut self, teams: Option<u32>, rank: usize) {
+        (self.teams, self.rank) = (teams, Some(rank));
     }
 
     /// The robots of the last frame, ordered by name; none before it.
@@ -217,6 +226,7 @@ fn of_no_edges(nodes: usize, params: &ValidEmbeddingParams) -> Result<Decomposit
         mode: EmbeddingMode::Dense,
         residual: 0.0,
         converged: true,
+        complete: true,
         probe: similarity.as_ref().map(|_| 0.0),
         similarity,
     })

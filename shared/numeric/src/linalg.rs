@@ -8,6 +8,7 @@ pub mod matrix;
 pub(crate) mod parallel;
 pub(crate) mod simd;
 pub(crate) mod simd_pack;
+pub(crate) mod single_block;
 pub(crate) mod vector;
 
 pub(crate) use aligned::Aligned;

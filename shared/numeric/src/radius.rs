@@ -1,5 +1,6 @@
 //! Certified bounds of the spectral radius ρ(A) of a non-negative matrix.
 
+mod elimination;
 pub mod exact;
 mod patch;
 mod perron;

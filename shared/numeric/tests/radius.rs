@@ -32,6 +32,26 @@ fn closed_forms() {
 }
 
 #[test]
+fn grids_of_thousands_of_robots() {
+    for (rows, columns) in [(1, 5000), (60, 100)] {
+        let at = |row: usize, column: usize| row * columns + column;
+        let mut edges = Vec::new();
+        for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |c| (row, c))) {
+            if row + 1 < rows {
+                edges.push((at(row, column), at(row + 1, column), 1.0));
+            }
+            if column + 1 < columns {
+                edges.push((at(row, column), at(row, column + 1), 1.0));
+            }
+        }
+        edges.extend(edges.clone().into_iter().map(|(i, j, w)| (j, i, w)));
+        let part = |n: usize| if n > 1 { 2.0 * (PI / (n + 1) as f64).cos() } else { 0.0 };
+        let found = spectral_radius(&graph(rows * columns, &edges), None);
+        check(&found, part(rows) + part(columns));
+    }
+}
+
+#[test]
 fn acyclic_graphs_have_radius_zero() {
     let tree: Vec<_> = (1..200).map(|i| ((i - 1) / 3, i, 1e3)).collect();
     for a in [graph(200, &tree), directed_path(300, 5.0), graph(0, &[]), graph(4, &[])] {

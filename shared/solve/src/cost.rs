@@ -24,9 +24,14 @@ const EDGE_BYTES: f64 = 16.0;
 /// Lloyd iterations and exchanges of one start of k-means, most of which are over before.
 const KMEANS_ITERATIONS: f64 = 15.0;
 
-/// Largest component whose spectral radius is found by elimination, which fills a band of a matrix;
-/// larger ones are swept over.
+/// Largest component whose spectral radius is found by elimination whatever that fills in, and the largest
+/// one where it may fill in so many entries per robot and per edge; larger ones are swept over.
 const ELIMINATED: f64 = 4096.0;
+const ELIMINATED_LARGE: f64 = 20_000.0;
+const LARGE_ENTRIES: (f64, f64) = (128.0, 2.0);
+
+/// Bytes of an entry of a factor, its indices, and those of its transpose.
+const ENTRY_BYTES: f64 = 24.0;
 
 /// Sweeps over the edges for a spectral radius, as of elimination, where fleets are too large for it.
 const SWEEPS: f64 = 4096.0;
@@ -222,16 +227,21 @@ impl Size {
     }
 
     fn radius_bytes(&self) -> f64 {
-        let eliminated = if self.robots > ELIMINATED { 0.0 } else { self.robots };
-        8.0 * eliminated * eliminated + 80.0 * self.edges
+        let entries = match self.robots {
+            ..=ELIMINATED => 0.5 * self.robots * self.robots,
+            ..=ELIMINATED_LARGE => LARGE_ENTRIES.0 * self.robots + LARGE_ENTRIES.1 * self.edges,
+            _ => 0.0,
+        };
+        ENTRY_BYTES * entries + 80.0 * self.edges
     }
 
     fn radius_seconds(&self, speed: &Speed) -> f64 {
         speed.radius_per_product * self.edges * self.robots.min(SWEEPS)
     }
 
-    /// The space and its image, six more blocks of vectors, three in single precision, and the
-    /// samples that the preconditioner is fitted to; the graph in two directions and precisions.
+    /// The space and its image, six more blocks of vectors, five in single precision, and the
+    /// samples that the preconditioner is fitted to; the graph in two directions and precisions, and its
+    /// symmetric part.
     fn search_bytes(&self) -> f64 {
         let carried = self.carried();
         // Whether the search is long enough for its space to grow is not known before. As it grows, both are held.
@@ -239,8 +249,8 @@ impl Size {
         let columns = if grown > space { space + grown } else { space };
         let space = (columns as f64).min(2.0 * self.robots);
         let doubles = 2.0 * space + 6.0 * carried + 40.0;
-        let singles = 3.0 * (carried / 16.0).ceil() * 16.0;
-        self.robots * (8.0 * doubles + 4.0 * singles) + 64.0 * self.edges
+        let singles = 5.0 * (carried / 16.0).ceil() * 16.0;
+        self.robots * (8.0 * doubles + 4.0 * singles) + 96.0 * self.edges
     }
 
     /// Rounds of products of the graph with vectors, and of vectors with each other.

@@ -82,8 +82,8 @@ impl Cubic {
 /// Seconds per unit of work. A speed that could not be measured is 0.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Speed {
-    /// Of the spectral radius, per edge and robot: its elimination fills a band, which is as wide as
-    /// the fleet and thus grows with the root of its size.
+    /// Of the spectral radius, per edge and robot: an estimate from above for larger fleets, as its
+    /// elimination takes about the power 1.5 of the robots in the plane.
     pub(super) radius_per_product: f64,
     pub(super) katz: Cubic,
     pub(super) svd: Cubic,

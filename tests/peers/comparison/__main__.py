@@ -28,8 +28,8 @@ MANIFEST = HERE.parent / "rust" / "Cargo.toml"
 
 def decompositions(ours, folder, asked, problems):
     for robots in asked.sizes:
-        for kind in decomposition.KINDS:
-            for fraction in decomposition.FRACTIONS:
+        for kind, about in decomposition.KINDS.items():
+            for fraction in about["fractions"] if robots <= about["most"] else ():
                 yield decomposition.measure(
                     ours, folder, robots, kind, fraction, asked.quick, problems
                 )

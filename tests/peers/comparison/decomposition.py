@@ -16,28 +16,41 @@ from .timing import Times, added, ratio, timed
 from .worker import Failure
 
 RANK = 16
-KINDS = ("knn", "smooth")
 FRACTIONS = (0.9, 0.5)
+# Graphs, with the products of decay and radius, and the most robots. Those of which robots command
+# others wherever they are fill the factors of SuperLU.
+KINDS = {
+    "knn": {"fractions": FRACTIONS, "most": 1_000_000},
+    "smooth": {"fractions": FRACTIONS, "most": 1_000_000},
+    "undirected": {"fractions": FRACTIONS, "most": 1_000_000},
+    "apart": {"fractions": FRACTIONS[:1], "most": 10_000},
+}
+# The kind whose S is symmetric, for which scipy also finds eigenvalues of A.
+SYMMETRIC = "undirected"
 
 # Residuals that are asked for, relative to the largest singular value.
-TARGETS = {"cold": 1e-6, "tick": 1e-3, "event": 1e-4, "jump": 1e-4}
+TARGETS = {"cold": 1e-6, "tick": 1e-3, "far": 1e-3, "event": 1e-4, "jump": 1e-4}
 # How far robots go in mean spacings: all of them in a tick, any one in an event, in which poses come one
 # by one, and any one in a jump, after which a robot reports again.
 TICK = 0.004
+FAR = 0.05
 EVENT = TICK
 JUMP = 25 * TICK
 # What is done on the graphs of each fleet, and for how many robots at most.
 SITES = {
     "tick": {"jobs": ("cold", "tick"), "spacings": TICK, "most": 1_000_000},
+    "far": {"jobs": ("far",), "spacings": FAR, "most": 100_000},
     "event": {"jobs": ("event",), "spacings": EVENT, "most": 1_000_000},
     "jump": {"jobs": ("jump",), "spacings": JUMP, "most": 10_000},
 }
+# Where all robots move.
+ALL_MOVE = ("tick", "far")
 # Tolerances of Muster relative to the target, and those of PROPACK, from loose to tight.
 OURS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1)
 THEIRS = (1.0, 0.3, 0.1, 0.03, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-5, 1e-6, 1e-8, 0.0)
 # Where the search for PROPACK's begins.
 BEGIN = {"cold": THEIRS.index(1e-2), "tick": THEIRS.index(0.1), "event": THEIRS.index(0.03)}
-BEGIN["jump"] = BEGIN["event"]
+BEGIN["jump"], BEGIN["far"] = BEGIN["event"], BEGIN["tick"]
 # Frames of Muster before anything is measured: two of history, and some to settle.
 WARM = 4
 # By how much singular values may differ beyond what the two residuals allow (Weyl).
@@ -70,6 +83,9 @@ class Case:
     problems: list
     edges: int = 0
     alpha: dict = field(default_factory=dict)
+    # How scipy does best, once it was tried: the way of SuperLU, and by eigenvalues of A or not.
+    way: str = ""
+    by_eigenvalues: bool = False
     own: dict = field(default_factory=lambda: dict.fromkeys(TARGETS, 0))
     theirs: dict = field(default_factory=lambda: dict(BEGIN))
     times: dict = field(default_factory=dict)
@@ -109,14 +125,34 @@ class Case:
 
     def advance(self, site):
         spacings = SITES[site]["spacings"]
-        about = self.ours.ask("advance", site=site, spacings=spacings, all=site == "tick")
+        about = self.ours.ask("advance", site=site, spacings=spacings, all=site in ALL_MOVE)
         self.alpha[site] = about["alpha"]
 
     def system(self, site):
-        """The matrix M of the graph of the moment."""
+        """The graph of the moment, and its matrix M."""
         path = self.folder / "graph"
         self.ours.ask("write_graph", site=site, to=str(path))
-        return katz.katz_matrix(katz.read_graph(path, self.robots), self.alpha[site])
+        graph = katz.read_graph(path, self.robots)
+        return graph, katz.katz_matrix(graph, self.alpha[site])
+
+    def try_ways(self, adjacency, matrix):
+        """Finds out how scipy does best, on the first graph."""
+        taken, tolerance = {}, THEIRS[BEGIN["cold"]]
+        for way in katz.FACTORS:
+            seconds, _ = timed(
+                lambda way=way: katz.leading(
+                    katz.factorise(matrix, way), RANK, tolerance=tolerance
+                )
+            )
+            taken[way] = seconds["cpu"]
+        self.way = min(taken, key=taken.get)
+        if self.kind == SYMMETRIC:
+            seconds, _ = timed(
+                lambda: katz.leading_symmetric(adjacency, self.alpha["tick"], RANK, tolerance)
+            )
+            self.by_eigenvalues = seconds["cpu"] < taken[self.way]
+        ways = ", ".join(f"{way} {1e3 * seconds:.3g} ms" for way, seconds in taken.items())
+        note(f"{self.name}: scipy by {ways}; eigenvalues of A: {self.by_eigenvalues}")
 
     def solve(self, site, job, stream=None, threads=1, want=False):
         """One solve by Muster for a job; triplets only if they are wanted."""
@@ -149,8 +185,10 @@ def measure(ours, folder, robots, kind, fraction, quick, problems):
         note(f"{case.name}: round {number + 1} of {steps['rounds']}")
         taken, last = frames(case, steps["frames"], has_threads)
         for site in case.sites:
-            matrix = case.system(site)
-            graph = Graph(case, matrix, number, steps["runs"])
+            adjacency, matrix = case.system(site)
+            if not case.way:
+                case.try_ways(adjacency, matrix)
+            graph = Graph(case, site, adjacency, matrix, number, steps["runs"])
             settled(case, number, site, taken, graph.check.residual(last[site]))
             if site == "tick":
                 graph.reference(*cold(case, steps["runs"], number, graph.check))
@@ -172,26 +210,25 @@ def supports_threads(case):
     return True
 
 
-def spent(job, answer):
-    """Time of a solve. When one robot has moved, vectors are for those who ask for them."""
-    alone = job in ("event", "jump")
-    return answer["seconds"] if alone else added(answer["seconds"], answer["vectors"])
+def spent(answer):
+    """Time of a solve, with its vectors."""
+    return added(answer["seconds"], answer["vectors"])
 
 
 def frames(case, count, has_threads):
     """Some frames by Muster alone: times by job, and the triplets of the last ones."""
-    taken = {job: [] for job in (*case.sites, "event vectors", "tick 2 threads")}
+    taken = {job: [] for job in (*case.sites, "event alone", "tick 2 threads")}
     last = {}
     for frame in range(count):
         for site in case.sites:
             case.advance(site)
             answer, last[site] = case.solve(site, site, want=frame == count - 1)
-            taken[site].append((answer["rounds"], spent(site, answer)))
+            taken[site].append((answer["rounds"], spent(answer)))
             if site == "event":
-                taken["event vectors"].append((answer["rounds"], spent("tick", answer)))
+                taken["event alone"].append((answer["rounds"], answer["seconds"]))
         if has_threads:
             answer, _ = case.solve("tick", "tick", stream="threads", threads=2)
-            taken["tick 2 threads"].append((answer["rounds"], spent("tick", answer)))
+            taken["tick 2 threads"].append((answer["rounds"], spent(answer)))
     return taken, last
 
 
@@ -226,7 +263,7 @@ def cold(case, runs, number, check):
             break
     case.saw("cold", residual)
     for answer, _ in solved:
-        case.add("cold", number, spent("cold", answer))
+        case.add("cold", number, spent(answer))
         case.searches["cold"].append(answer["rounds"])
     return triplets[1], residual
 
@@ -234,9 +271,10 @@ def cold(case, runs, number, check):
 class Graph:
     """scipy on one graph."""
 
-    def __init__(self, case, matrix, number, runs):
+    def __init__(self, case, site, adjacency, matrix, number, runs):
         self.case, self.number, self.runs = case, number, runs
-        solved = [timed(lambda: katz.factorise(matrix)) for _ in range(runs)]
+        self.adjacency, self.alpha = adjacency, case.alpha[site]
+        solved = [timed(lambda: katz.factorise(matrix, case.way)) for _ in range(runs)]
         self.seconds = [seconds for seconds, _ in solved]
         self.factors = solved[-1][1]
         self.check = katz.ResidualCheck(matrix, self.factors)
@@ -249,12 +287,9 @@ class Graph:
     def answer(self, place):
         """Times, residual, and whether singular values are missing, with one setting."""
         if place not in self.known:
-            solved = [
-                timed(lambda: katz.leading(self.factors, RANK, tolerance=THEIRS[place]))
-                for _ in range(self.runs)
-            ]
+            solved = [timed(lambda: self.leading(THEIRS[place])) for _ in range(self.runs)]
             sums = [
-                added(first, second)
+                second if self.case.by_eigenvalues else added(first, second)
                 for first, (second, _) in zip(self.seconds, solved, strict=True)
             ]
             triplets = solved[-1][1]
@@ -267,6 +302,11 @@ class Graph:
                 )
             self.known[place] = sums, residual, gap.min() < -allowed
         return self.known[place]
+
+    def leading(self, tolerance):
+        if self.case.by_eigenvalues:
+            return katz.leading_symmetric(self.adjacency, self.alpha, RANK, tolerance)
+        return katz.leading(self.factors, RANK, tolerance=tolerance)
 
     def is_enough(self, place, target):
         _, residual, misses = self.answer(place)
@@ -294,7 +334,7 @@ class Graph:
 def record(case):
     jobs = [job for job in TARGETS if job in case.times]
     ratios = {job: ratio(case.times[f"{job} scipy"], case.times[job]).record() for job in jobs}
-    ratios["event vectors"] = ratio(case.times["event scipy"], case.times["event vectors"]).record()
+    ratios["event alone"] = ratio(case.times["event scipy"], case.times["event alone"]).record()
     if "scipy default" in case.times:
         ratios["scipy default"] = ratio(case.times["scipy default"], case.times["cold"]).record()
     if "tick 2 threads" in case.times:
@@ -308,6 +348,7 @@ def record(case):
         "kind": case.kind,
         "fraction": case.fraction,
         "rank": RANK,
+        "scipy": "eigsh(A)" if case.by_eigenvalues else f"splu ({case.way}), svds",
         "edges": case.edges,
         "times": {job: taken.median() for job, taken in case.times.items()},
         "ratios": ratios,

@@ -12,6 +12,9 @@ DECOMPOSITION = (
     ("tick", 1_000, 8.0),
     ("tick", 10_000, 8.0),
     ("tick", 100_000, 15.0),
+    ("far", 1_000, 1.0),
+    ("far", 10_000, 1.0),
+    ("far", 100_000, 1.0),
     ("threads", 10_000, 1.7),
     ("threads", 100_000, 1.7),
     ("event", 1_000, 50.0),
@@ -21,7 +24,8 @@ WORDS = {
     "cold": "{robots:,} robots, from nothing to 1e-6, against scipy's best",
     "tick": "{robots:,} robots, all have moved, to 1e-3, against scipy's best",
     "threads": "{robots:,} robots, all have moved, two threads against one",
-    "event": "{robots:,} robots, one has moved, certified to 1e-4, against scipy's best",
+    "far": "{robots:,} robots, all have moved by 0.05 spacings, to 1e-3, against scipy's best",
+    "event": "{robots:,} robots, one has moved, U and V to 1e-4, against scipy's best",
 }
 PIPELINE = {200: 100.0, 1_000: 1_000.0}
 HOPE = {"cold": 25.0, "tick": 80.0}

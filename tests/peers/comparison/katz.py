@@ -5,7 +5,7 @@ S = (I - aA)^-1 - I is never formed: it is applied by solves with M = I - aA.
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import LinearOperator, splu, svds
+from scipy.sparse.linalg import LinearOperator, eigsh, splu, svds
 
 # How exact a solve that measures must be, and after how many steps of refinement at most.
 SOLVED = 1e-11
@@ -35,9 +35,33 @@ def katz_matrix(graph, alpha):
     return (sp.identity(graph.shape[0], format="csr") - alpha * graph).tocsc()
 
 
-def factorise(matrix):
+# Ways of SuperLU: as it chooses, and with columns of their own, which is faster where there is little
+# fill. The matrices have dominant diagonals, so that no pivot is needed.
+FACTORS = {
+    "panels": {},
+    "columns": {"relax": 1, "panel_size": 1, "diag_pivot_thresh": 0.0},
+}
+
+
+def factorise(matrix, way="panels"):
     """SuperLU in the order of minimum degree, which fills such matrices least."""
-    return splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    return splu(
+        matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}, **FACTORS[way]
+    )
+
+
+def leading_symmetric(graph, alpha, rank, tolerance=0.0):
+    """The `rank` leading triplets of S for an undirected graph, from the largest eigenvalues of A.
+
+    Each eigenvalue x of aA is x / (1 - x) of S. A negative one may be among the leading singular values,
+    but not for these fleets: the singular values are compared with those of Muster.
+    """
+    random = np.random.default_rng(1)
+    start = random.standard_normal(graph.shape[0])
+    values, vectors = eigsh(graph, k=rank, which="LA", tol=tolerance, v0=start)
+    values = alpha * values / (1.0 - alpha * values)
+    order = np.argsort(values)[::-1]
+    return vectors[:, order], values[order], vectors[:, order]
 
 
 def leading(factors, rank, solver="propack", tolerance=0.0):

@@ -19,7 +19,7 @@ LINES = (
     ("prone", "nodevectors ProNE (not the Katz similarity)", "#b0b0b0", "."),
     ("cold", "Muster, from nothing to 1e-6", "#1b4f8a", "o"),
     ("tick", "Muster, all have moved, to 1e-3", "#3f7fc4", "o"),
-    ("event", "Muster, one has moved, certified to 1e-4", "#86b8ea", "o"),
+    ("event", "Muster, one has moved, U and V to 1e-4", "#86b8ea", "o"),
 )
 
 

@@ -327,6 +327,15 @@ impl Bench {
         bench
     }
 
+    /// One that begins after a power cut with what it has kept: no one answers its inquiry.
+    pub fn restarted(settings: EmbedderSettings, kept: Vec<u8>) -> Self {
+        let mut bench = Self::new(settings);
+        bench.kit.input(Input::Restored(kept));
+        bench.kit.start(Vec::new());
+        bench.read();
+        bench
+    }
+
     /// The same with default settings and an empty bus.
     pub fn fresh() -> Self {
         Self::started(EmbedderSettings::default(), Vec::new())

@@ -19,6 +19,7 @@ mod options;
 mod partition;
 mod points;
 mod seeding;
+mod single;
 mod start;
 mod sums;
 mod warm;

@@ -37,22 +37,6 @@ pub(crate) fn proximity_order(a: &SparseMatrix) -> Option<Vec<u32>> {
     Some(reverse_cuthill_mckee(n, |i| &neighbours[starts[i] as usize..starts[i + 1] as usize]))
 }
 
-/// Reverse Cuthill–McKee order of the undirected pattern of `a` without its diagonal, for
-/// elimination within a band: element k is the node at place k.
-pub(crate) fn bandwidth_order(a: &SparseMatrix) -> Vec<usize> {
-    let mut neighbours = vec![Vec::new(); a.nodes()];
-    for (i, j, _) in a.triplets().filter(|e| e.0 != e.1) {
-        neighbours[i].push(j as u32);
-        neighbours[j].push(i as u32);
-    }
-    for list in &mut neighbours {
-        list.sort_unstable();
-        list.dedup();
-    }
-    let order = reverse_cuthill_mckee(a.nodes(), |i| &neighbours[i]);
-    order.into_iter().map(|i| i as usize).collect()
-}
-
 /// Breadth-first order from nodes of low degree, neighbours by degree, reversed (Cuthill and McKee
 /// 1969; George 1971). The degree of a node is the length of its list of `neighbours`.
 fn reverse_cuthill_mckee<'a>(nodes: usize, neighbours: impl Fn(usize) -> &'a [u32]) -> Vec<u32> {

@@ -100,7 +100,7 @@ fn scaled_system(
 /// Accuracy of `s` as the Katz similarity of `a`, from a random vector z of ±1 drawn from `seed`: the
 /// largest entry of |S z − B z − B S z| with B = αA, relative to what rounding is relative to, the
 /// same entry of S1 + B1 + BS1 (Oettli and Prager, Numer. Math. 6, 1964), where rows that are small
-/// beside the largest count as m/(1 + m) with its sum m. About 1e-16 when `s` is right, however
+/// next to the largest count as m/(1 + m) with its sum m. About 1e-16 when `s` is right, however
 /// ill-conditioned I − B is; since its inverse is not negative, sums of rows of S are then off by
 /// hardly more, times the mean length of the walks. Costs O(n²). It samples the error and does not
 /// bound it. 0 for an empty graph, infinite where an entry is.

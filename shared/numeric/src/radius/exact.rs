@@ -4,7 +4,7 @@
 //! above the largest eigenvalue, which for directed graphs with their complex eigenvalues means
 //! the spectral radius.
 
-use super::perron::{MAX_FACTORISED, Perron, TOLERANCE, factorisation_work, perron, widened};
+use super::perron::{Perron, TOLERANCE, factorisation, normalised, perron, widened};
 use super::search::{Limits, Vectors};
 use crate::graph::components::strongly_connected;
 use crate::graph::subgraph::induced_subgraph;
@@ -14,10 +14,8 @@ use crate::linalg::matrix::SparseMatrix;
 /// result is a sufficient start for Noda's iteration.
 const COARSE_LIMITS: Limits = Limits { width: 1e-2, sweeps: 100 };
 
-/// Speed of a multiply-add of a factorisation relative to one of a sweep: it runs along rows.
-const FACTORISATION_SPEED: usize = 8;
-
-/// Sweeps that a factorisation must cost before sweeps are tried in its place.
+/// Sweeps whose multiply-adds a factorisation must take before sweeps are tried in its place: it makes a
+/// few times as many in the same time.
 const MIN_FACTORISATION_SWEEPS: usize = 1000;
 
 /// Most sweeps over a component in place of a factorisation.
@@ -60,8 +58,8 @@ impl Default for SpectralRadius {
 /// matrix would come out far from 0 by rounding. Each root is enclosed by Collatz–Wielandt
 /// quotients to a relative width of about 1e-13: by the sweeps of [`crate::radius_bound`] where
 /// they get there, which for sparse fleets they mostly do, and by Noda's iteration where not. The
-/// bounds hold whatever happens; components of more than 4096 nodes get a limited number of sweeps
-/// only and may keep a wider bracket.
+/// bounds hold whatever happens; components of more than 20,000 nodes, and those of more than 4,096 that
+/// fill in much, get a limited number of sweeps only and may keep a wider bracket.
 ///
 /// `warm` is the `vector` of a similar matrix, one entry per node; it is ignored where it does
 /// not fit (wrong length, entries that are not positive and finite).
@@ -120,13 +118,11 @@ fn bracket(block: &SparseMatrix, start: Vec<f64>, upper: f64) -> Perron {
     let mut known = (0.0, upper);
     let edges = block.edges();
     let (least, most) = LARGE_SWEEPS;
-    let sweeps = if block.nodes() > MAX_FACTORISED {
-        (SWEEP_WORK / edges).clamp(least, most)
-    } else {
-        match factorisation_work(block) / (FACTORISATION_SPEED * edges) {
-            ..MIN_FACTORISATION_SWEEPS => 0,
-            _ => MAX_BLOCK_SWEEPS,
-        }
+    let elimination = factorisation(block);
+    let sweeps = match &elimination {
+        None => (SWEEP_WORK / edges).clamp(least, most),
+        Some(elimination) if elimination.work() / edges < MIN_FACTORISATION_SWEEPS => 0,
+        Some(_) => MAX_BLOCK_SWEEPS,
     };
     if sweeps > 0 {
         let found = vectors.search(block, 0.0, Limits { width: TOLERANCE, sweeps });
@@ -135,7 +131,10 @@ fn bracket(block: &SparseMatrix, start: Vec<f64>, upper: f64) -> Perron {
             return widened(block, known, vectors.x);
         }
     }
-    perron(block, vectors.x, known, TOLERANCE)
+    match elimination {
+        Some(elimination) => perron(block, &elimination, vectors.x, known, TOLERANCE),
+        None => widened(block, known, normalised(vectors.x)),
+    }
 }
 
 /// The entries of `warm` for `nodes` if they are usable, ones otherwise.

@@ -4,16 +4,9 @@
 //! min_i (Ax)_i/x_i ≤ ρ(A) ≤ max_i (Ax)_i/x_i. Noda's iteration (Numer. Math. 17, 1971) solves
 //! (σI − A) y = x with σ the upper bound of x; it converges quadratically from every x > 0,
 //! while power iteration needs thousands of steps when eigenvalues lie close together.
-//!
-//! σI − A is an M-matrix that becomes singular as σ → ρ. Its columns scaled by x have row sums
-//! r = σx − Ax ≥ 0, so elimination can carry the row sums along and recover every pivot as a sum
-//! of non-negative numbers (Grassmann, Taksar and Heyman 1985; for M-matrices Alfa, Xue and Ye,
-//! Math. Comp. 71, 2002). Nothing is ever subtracted: no pivoting is needed, and the solution
-//! keeps its relative accuracy in every entry, however near to singular the matrix is.
+//! [`super::elimination`] has the solves.
 
-use pulp::Arch;
-
-use crate::graph::ordering::bandwidth_order;
+use super::elimination::Elimination;
 use crate::linalg::matrix::SparseMatrix;
 
 /// Relative width of the bracket where the radius is wanted exactly: a few hundred roundings.
@@ -26,11 +19,24 @@ const MAX_POWER_STEPS: usize = 1000;
 /// Quotient of the bounds above which they are far apart.
 const FAR_RATIO: f64 = 4.0;
 
-/// Most nodes of a block that is factorised; larger ones keep their bounds.
+/// Most nodes of a block that is factorised whatever it costs.
 pub(crate) const MAX_FACTORISED: usize = 4096;
 
-/// Most factorisations; about five suffice from a good start.
+/// Most nodes, and multiply-adds, of a larger block that is factorised: about a second for some three
+/// factorisations.
+const MAX_LARGE_FACTORISED: usize = 20_000;
+const MAX_LARGE_WORK: usize = 1 << 30;
+
+/// Most entries of the factor of a larger block, per node and per edge: 24 bytes each. Fleets in the plane
+/// stay below. What fills in more mixes fast, so that sweeps get there.
+const MAX_LARGE_ENTRIES: (usize, usize) = (128, 2);
+
+/// Most factorisations; about three suffice from a good start.
 const MAX_FACTORISATIONS: usize = 200;
+
+/// Solves with each factorisation, which takes twenty times as long as one: the distance of the upper
+/// bound from ρ then falls by its fourth power, not by its square.
+const SOLVES: usize = 3;
 
 /// Most factorisations in a row without progress. Entries many orders of magnitude below the
 /// largest need a few iterations before they affect the bounds.
@@ -46,19 +52,31 @@ pub(crate) struct Perron {
     pub(crate) vector: Vec<f64>,
 }
 
+/// How the irreducible matrix `a` is factorised. `None` where that costs too much.
+pub(crate) fn factorisation(a: &SparseMatrix) -> Option<Elimination> {
+    let n = a.nodes();
+    if n <= MAX_FACTORISED {
+        return Elimination::new(a, n * n);
+    }
+    let (per_node, per_edge) = MAX_LARGE_ENTRIES;
+    let most = per_node * n + per_edge * a.edges();
+    let fits = n <= MAX_LARGE_FACTORISED;
+    let found = fits.then(|| Elimination::new(a, most)).flatten();
+    found.filter(|found| found.work() <= MAX_LARGE_WORK)
+}
+
 /// Brackets ρ of the irreducible matrix `a` to a relative width of `tolerance`, from the positive
 /// vector `start`. Improves on the `known` bounds, 0 and infinity if there are none; the iteration
 /// itself depends on the vector alone.
 pub(crate) fn perron(
     a: &SparseMatrix,
+    elimination: &Elimination,
     start: Vec<f64>,
     known: (f64, f64),
     tolerance: f64,
 ) -> Perron {
     let mut state = Bracket::new(start, tolerance);
-    let factorised = a.nodes() <= MAX_FACTORISED;
-    let steps = if factorised { MAX_POWER_STEPS } else { 0 };
-    for _ in 0..steps {
+    for _ in 0..MAX_POWER_STEPS {
         let product = state.tighten(a);
         if state.tight() || state.upper <= FAR_RATIO * state.lower {
             break;
@@ -69,8 +87,8 @@ pub(crate) fn perron(
         let next = state.x.iter().zip(&product).map(|(x, y)| (x * y).sqrt());
         state.x = normalised(next.collect());
     }
-    if factorised && !state.tight() {
-        iterate(a, &mut state);
+    if !state.tight() {
+        iterate(a, elimination, &mut state);
     }
     let bounds = (state.lower.max(known.0), state.upper.min(known.1));
     widened(a, bounds, state.x)
@@ -84,8 +102,7 @@ pub(crate) fn widened(a: &SparseMatrix, (lower, upper): (f64, f64), vector: Vec<
 }
 
 /// Noda's iteration until the bracket is tight or rounding stops its progress.
-fn iterate(a: &SparseMatrix, state: &mut Bracket) {
-    let order = bandwidth_order(a);
+fn iterate(a: &SparseMatrix, elimination: &Elimination, state: &mut Bracket) {
     let mut stalled = 0;
     for _ in 0..MAX_FACTORISATIONS {
         let width = state.width();
@@ -94,7 +111,8 @@ fn iterate(a: &SparseMatrix, state: &mut Bracket) {
             return;
         }
         stalled = if state.width() < 0.99 * width { 0 } else { stalled + 1 };
-        match shifted_solve(a, &state.x, &product, &order) {
+        let sigma = largest_quotient(&state.x, &product);
+        match elimination.solve(a, &state.x, &product, sigma, SOLVES) {
             Some(next) => state.x = normalised(next),
             None => return,
         }
@@ -149,120 +167,10 @@ fn largest_quotient(x: &[f64], product: &[f64]) -> f64 {
 }
 
 /// Scales to largest entry 1 and raises entries that would underflow.
-fn normalised(mut x: Vec<f64>) -> Vec<f64> {
+pub(crate) fn normalised(mut x: Vec<f64>) -> Vec<f64> {
     let top = x.iter().fold(0.0_f64, |m, &v| m.max(v));
     for v in &mut x {
         *v = (*v / top).max(MIN_ITERATE);
     }
     x
-}
-
-/// Solves (σI − A) y = x for σ = max_i (Ax)_i/x_i, by subtraction-free elimination.
-///
-/// `None` when every row sum is zero (x is the Perron vector to the last bit) or the result leaves
-/// the range of `f64`.
-fn shifted_solve(
-    a: &SparseMatrix,
-    x: &[f64],
-    product: &[f64],
-    order: &[usize],
-) -> Option<Vec<f64>> {
-    let m = order.len();
-    let sigma = largest_quotient(x, product);
-    let mut place = vec![0; m];
-    for (k, &node) in order.iter().enumerate() {
-        place[node] = k;
-    }
-    let mut system = System {
-        links: vec![0.0; m * m],
-        end: vec![0; m],
-        last: (0..m).collect(),
-        slack: order.iter().map(|&i| (sigma * x[i] - product[i]).max(0.0)).collect(),
-        rhs: order.iter().map(|&i| x[i]).collect(),
-        pivot: vec![0.0; m],
-    };
-    for (i, &node) in order.iter().enumerate() {
-        for (j, w) in a.row(node) {
-            let j = place[j];
-            system.links[i * m + j] = w * x[order[j]];
-            system.end[i] = system.end[i].max(j + 1);
-            system.last[j] = system.last[j].max(i);
-        }
-    }
-    if !Arch::new().dispatch(|| system.eliminate()) {
-        return None;
-    }
-    let System { links, end, rhs, pivot, .. } = system;
-
-    let mut scaled = vec![0.0; m];
-    for k in (0..m).rev() {
-        let row = &links[k * m..(k + 1) * m];
-        let known: f64 = (k + 1..end[k]).map(|j| row[j] * scaled[j]).sum();
-        scaled[k] = (rhs[k] + known) / pivot[k];
-    }
-    let mut y = vec![0.0; m];
-    for (k, &node) in order.iter().enumerate() {
-        y[node] = scaled[k] * x[node];
-    }
-    let usable = y.iter().all(|v| v.is_finite()) && y.iter().any(|v| *v > 0.0);
-    usable.then_some(y)
-}
-
-/// Upper bound of the multiply-adds of one factorisation of `a`.
-pub(crate) fn factorisation_work(a: &SparseMatrix) -> usize {
-    let mut place = vec![0; a.nodes()];
-    for (k, node) in bandwidth_order(a).into_iter().enumerate() {
-        place[node] = k;
-    }
-    let band = a.triplets().map(|(i, j, _)| place[i].abs_diff(place[j])).max().unwrap_or(0);
-    a.nodes() * band * band
-}
-
-/// The system (σI − A) y = x in elimination order, columns scaled by x.
-struct System {
-    /// −(σI − A)_ij x_j for i ≠ j at i·m + j; the diagonal is implied.
-    links: Vec<f64>,
-    /// End of the non-zero entries of each row.
-    end: Vec<usize>,
-    /// The last row with an entry in each column.
-    last: Vec<usize>,
-    /// Sums of the rows, the diagonal included.
-    slack: Vec<f64>,
-    rhs: Vec<f64>,
-    pivot: Vec<f64>,
-}
-
-impl System {
-    /// Elimination without pivoting and subtraction; false when a pivot vanishes. Inlined into its
-    /// dispatch to the vector instructions of the machine.
-    #[inline(always)]
-    fn eliminate(&mut self) -> bool {
-        let Self { links, end, last, slack, rhs, pivot } = self;
-        let m = end.len();
-        // Eliminating a row fills in no rows below those of its own column and the columns before.
-        let mut bottom = 0;
-        for k in 0..m {
-            bottom = bottom.max(last[k]);
-            let (head, tail) = links.split_at_mut((k + 1) * m);
-            let row = &head[k * m..];
-            let stop = end[k].max(k + 1);
-            pivot[k] = slack[k] + row[k + 1..stop].iter().sum::<f64>();
-            if pivot[k] <= 0.0 {
-                return false;
-            }
-            for (below, i) in tail.chunks_exact_mut(m).zip(k + 1..=bottom) {
-                if below[k] == 0.0 {
-                    continue;
-                }
-                let factor = below[k] / pivot[k];
-                for (target, source) in below[k + 1..stop].iter_mut().zip(&row[k + 1..stop]) {
-                    *target += factor * source;
-                }
-                end[i] = end[i].max(stop);
-                slack[i] += factor * slack[k];
-                rhs[i] += factor * rhs[k];
-            }
-        }
-        true
-    }
 }

@@ -149,8 +149,9 @@ impl Vectors {
             if found.sweeps >= next_patch || stuck {
                 // The upper bound makes no progress, but the lower one may.
                 size = (size * if stuck { 4 } else { 2 }).min(MAX_PATCH_NODES).min(n);
-                pause *= 2;
-                next_patch = found.sweeps + pause;
+                // A search that is stuck at the last digits asks for many patches.
+                pause = pause.saturating_mul(2);
+                next_patch = found.sweeps.saturating_add(pause);
                 let own =
                     patches.lower_bound(a, x, sweep.peak, size, width * PATCH_PROGRESS_WIDTHS);
                 found.lower = found.lower.max(own);

@@ -11,7 +11,7 @@
 use thiserror::Error;
 
 use super::exact::SpectralRadius;
-use super::perron::{MAX_FACTORISED, TOLERANCE, perron};
+use super::perron::{MAX_FACTORISED, TOLERANCE, factorisation, perron};
 use super::search::{Found, Limits, Vectors};
 use crate::graph::components::{is_acyclic, strongly_connected};
 use crate::graph::subgraph::induced_subgraph;
@@ -142,10 +142,12 @@ impl RadiusTracker {
             };
             let mut own = self.block.search(&block, lower, Limits { width, sweeps });
             edges += own.sweeps * block.edges();
-            if !own.tight(width) && factorised {
+            let open = !own.tight(width) && factorised;
+            if let Some(elimination) = open.then(|| factorisation(&block)).flatten() {
                 let top = self.block.x.iter().fold(1.0_f64, |top, x| x.max(top));
                 let known = (own.lower, own.upper);
-                let root = perron(&block, std::mem::take(&mut self.block.x), known, 0.5 * width);
+                let start = std::mem::take(&mut self.block.x);
+                let root = perron(&block, &elimination, start, known, 0.5 * width);
                 own.lower = own.lower.max(root.lower);
                 own.upper = own.upper.min(root.upper);
                 self.block.x.extend(root.vector.iter().map(|v| v * top));

@@ -7,11 +7,13 @@
 //! residual; its quality decides the number of rounds, not the accuracy. Where no polynomial is near
 //! enough, as walks grow for long before they fade, a sparse factorisation of M takes its place. This is a block Davidson
 //! method (Davidson, J. Comput. Phys. 17, 1975) for SᵀS that uses the structure of the Katz
-//! similarity.
+//! similarity. A search that begins with nothing gets its start and its directions from the symmetric
+//! part of the graph instead, where that says enough (see `symmetric`).
 
 mod basis;
 mod factors;
 mod polynomial;
+mod symmetric;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -20,11 +22,13 @@ use crate::linalg::Aligned;
 use crate::linalg::block_vectors::{BlockView, CHUNK_ROWS, COLUMN_MULTIPLE, product};
 use crate::linalg::parallel::{Parts, Strided};
 use crate::linalg::simd::dispatch;
+use crate::linalg::single_block::SINGLE_COLUMN_MULTIPLE;
 use crate::svd::katz_svd::ROUGH_TOLERANCE;
 use crate::svd::operator::KatzOperator;
 use basis::Basis;
 use factors::Factors;
-use polynomial::{FIT_COLUMNS, Polynomial, SINGLE_COLUMN_MULTIPLE, to_double};
+use polynomial::{FIT_COLUMNS, Polynomial, to_double};
+use symmetric::SymmetricPart;
 
 /// Vectors that are carried in addition to the wanted ones: the convergence of the last wanted one
 /// depends on the gap to the first that is not carried.
@@ -62,6 +66,18 @@ const MAX_ROUNDS: usize = 300;
 /// squares vanish in the rounding of the square of the largest.
 pub(crate) const NULL_VALUE_RATIO: f64 = 1e-7;
 
+/// Nodes from which, and triplets up to which, a search that begins with nothing begins with the
+/// symmetric part of the graph. Smaller searches take no longer than its small eigenproblems.
+const MIN_SYMMETRIC_NODES: usize = 400;
+const MAX_SYMMETRIC_RANK: usize = 64;
+
+/// The same for a graph that is symmetric, relative to the carried vectors: there the search ends soon.
+const MIN_SYMMETRIC_WIDTHS: usize = 4;
+
+/// Part of its residual that a round with the symmetric part may leave, twice in a row, before the
+/// polynomial takes its place.
+const STALLED_SHARE: f64 = 0.5;
+
 /// Residual below which a column yields no direction.
 const SPENT_RESIDUAL: f64 = 1e-14;
 
@@ -74,9 +90,6 @@ pub(crate) struct Request {
     pub(crate) exact: usize,
     /// Largest of [`Triplets::residuals`].
     pub(crate) tolerance: f64,
-    /// Random directions in addition to the start, which find what the start does not contain at
-    /// all.
-    pub(crate) probes: usize,
     /// Seed of the random directions.
     pub(crate) seed: u64,
     /// Number of threads of the pool around the search, 1 without one.
@@ -130,6 +143,7 @@ pub(crate) struct Workspace {
     polynomial: Polynomial,
     /// Factors of M, where a search needs them.
     factors: Option<Factors>,
+    symmetric: SymmetricPart,
     /// U + V Σ, later the new directions, n × carried.
     block: Aligned<f64>,
     /// Residuals and their images under the polynomial.
@@ -147,6 +161,42 @@ impl Workspace {
     /// overwrites it.
     pub(crate) fn scratch(&mut self) -> &mut [f64] {
         &mut self.basis.space
+    }
+
+    /// Writes approximately (MᵀM)⁻¹ r to `out` for the n × `width` block r, after a search for at
+    /// least as many vectors of the same graph or a similar one.
+    pub(crate) fn precondition(
+        &mut self,
+        operator: &KatzOperator,
+        parts: Parts,
+        r: &[f64],
+        out: &mut [f64],
+        width: usize,
+    ) {
+        if !self.polynomial.serves(operator) {
+            let mut scratch = vec![0.0; operator.nodes() * FIT_COLUMNS];
+            self.polynomial.fit(operator, parts, 0, &mut scratch, &mut self.sums);
+        }
+        let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
+        let rows = self.single[0].chunks_exact_mut(stride).zip(r.chunks_exact(width));
+        for (to, from) in rows {
+            let (to, padding) = to.split_at_mut(width);
+            padding.fill(0.0);
+            for (to, from) in to.iter_mut().zip(from) {
+                *to = *from as f32;
+            }
+        }
+        self.apply(operator, parts, out, width);
+    }
+
+    /// The same for the residuals in the first of the blocks in single precision.
+    fn apply(&mut self, operator: &KatzOperator, parts: Parts, out: &mut [f64], width: usize) {
+        let Self { polynomial, factors, single, .. } = self;
+        let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
+        match factors {
+            Some(factors) => factors.apply(&single[0], stride, out, width),
+            None => polynomial.apply(operator, parts, single, out, width),
+        }
     }
 }
 
@@ -176,7 +226,9 @@ fn grown_space(nodes: usize, rank: usize, carried: usize) -> usize {
     let columns = rank.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
     // V and S V.
     let round_bytes = 2 * size_of::<f64>() * nodes * columns;
-    carried + GROWN_SPACE_ROUNDS.min(MAX_GROWTH_BYTES / round_bytes.max(1)) * columns
+    let grown = carried + GROWN_SPACE_ROUNDS.min(MAX_GROWTH_BYTES / round_bytes.max(1)) * columns;
+    // More directions than nodes would depend on one another.
+    grown.min(nodes / COLUMN_MULTIPLE * COLUMN_MULTIPLE)
 }
 
 /// Values in a row of the triplets for a wanted rank.
@@ -202,10 +254,13 @@ pub(crate) fn leading_triplets(
     // The rounding error along the space grows with the inverse square of the length that is left
     // of a direction; keep it below a millionth of the tolerance.
     let least_length = (2e-8 / request.tolerance).sqrt().clamp(0.003, 0.3);
-    let mut search = Search { operator, request, n, width, parts, least_length, work };
-    search.reserve(out);
+    let guided = false;
+    let mut search = Search { operator, request, n, width, parts, least_length, guided, work };
+    search.reserve(out, start.1 == 0);
     search.begin(start);
     search.run(out, progress);
+    // Later searches begin with triplets.
+    search.work.symmetric = SymmetricPart::default();
 }
 
 struct Search<'a> {
@@ -218,11 +273,13 @@ struct Search<'a> {
     /// Length that must be left of every new unit direction, orthogonal to the space and to the
     /// other ones, for rounding to keep the orthogonality.
     least_length: f64,
+    /// True while the symmetric part of the graph leads the search.
+    guided: bool,
     work: &'a mut Workspace,
 }
 
 impl Search<'_> {
-    fn reserve(&mut self, out: &mut Triplets) {
+    fn reserve(&mut self, out: &mut Triplets, is_cold: bool) {
         let (n, width) = (self.n, self.width);
         let work = &mut *self.work;
         let capacity = search_columns(n, self.request.rank).space;
@@ -234,9 +291,43 @@ impl Search<'_> {
             buffer.resize(n * width.next_multiple_of(SINGLE_COLUMN_MULTIPLE));
         }
         out.width = width;
-        let Workspace { basis, polynomial, sums, .. } = work;
+        work.factors = None;
+        let fits = n >= MIN_SYMMETRIC_NODES
+            || (n >= MIN_SYMMETRIC_WIDTHS * width && self.operator.is_symmetric());
+        self.guided = is_cold
+            && self.request.rank <= MAX_SYMMETRIC_RANK
+            && fits
+            && work.symmetric.prepare(self.operator, self.parts, width, self.request.seed);
+        if !self.guided {
+            self.fit();
+        }
+    }
+
+    /// Fits the polynomial, or factorises M where there is none; the space is overwritten.
+    fn fit(&mut self) {
+        let Workspace { basis, polynomial, sums, .. } = &mut *self.work;
         polynomial.fit(self.operator, self.parts, self.request.seed, &mut basis.space, sums);
-        work.factors = polynomial.is_poor().then(|| Factors::new(self.operator)).flatten();
+        self.work.factors =
+            self.work.polynomial.is_poor().then(|| Factors::new(self.operator)).flatten();
+    }
+
+    /// True when the symmetric part has led the search to all triplets as far as can be told.
+    fn sees_all(&mut self, out: &Triplets) -> bool {
+        let Workspace { symmetric, single, .. } = &mut *self.work;
+        let last = self.request.rank.min(out.sigma.len()).checked_sub(1);
+        last.is_some_and(|last| {
+            let (sigma, seed) = (out.sigma[last], self.request.seed);
+            !symmetric.hides(self.operator, self.parts, sigma, seed, single)
+        })
+    }
+
+    /// Goes on with the polynomial, and the best triplets.
+    fn lose_guide(&mut self, out: &Triplets) {
+        self.guided = false;
+        let size = self.work.basis.size;
+        self.fit();
+        self.work.basis.size = size;
+        self.restart(out);
     }
 
     /// Makes room for more directions between two restarts, and restarts with the best triplets.
@@ -254,8 +345,14 @@ impl Search<'_> {
         let columns = stride.min(self.width);
         if columns > 0 {
             self.expand(block, stride, columns);
+        } else if self.guided {
+            let mut block = std::mem::take(&mut self.work.block);
+            let symmetric = &self.work.symmetric;
+            to_double(symmetric.vectors(), symmetric.width(), &mut block, self.width);
+            self.expand(&block, self.width, self.width);
+            self.work.block = block;
         }
-        let missing = self.width.saturating_sub(self.work.basis.size).max(self.request.probes);
+        let missing = self.width.saturating_sub(self.work.basis.size);
         let columns = missing.next_multiple_of(COLUMN_MULTIPLE).min(self.width).min(self.room());
         if columns > 0 {
             let mut block = std::mem::take(&mut self.work.block);
@@ -275,11 +372,20 @@ impl Search<'_> {
     fn run(&mut self, out: &mut Triplets, progress: &mut (dyn FnMut(SearchRound) + Send)) {
         out.rounds = 0;
         let mut plain = false;
+        let (mut before, mut stalled) = (f64::INFINITY, 0);
         loop {
             out.rounds += 1;
             if !self.ritz(out) {
                 out.converged = false;
                 return;
+            }
+            if self.guided && out.rounds == 1 && !self.sees_all(out) {
+                // Begin again at random, so that nothing is missed.
+                self.guided = false;
+                self.work.basis.discard();
+                self.fit();
+                self.begin((&[], 0));
+                continue;
             }
             self.residuals(out);
             let rank = self.request.rank.min(out.sigma.len());
@@ -299,8 +405,18 @@ impl Search<'_> {
                 }
                 _ => {}
             }
+            if self.guided {
+                let worst = out.residuals[..rank].iter().fold(0.0, |top: f64, r| r.max(top));
+                stalled = if worst <= STALLED_SHARE * before { 0 } else { stalled + 1 };
+                before = worst;
+                if stalled == 2 {
+                    self.lose_guide(out);
+                }
+            }
             let wanted = self.choose(out);
-            if wanted.next_multiple_of(COLUMN_MULTIPLE) > self.room() {
+            if self.work.basis.error > self.request.tolerance {
+                self.renew(out);
+            } else if wanted.next_multiple_of(COLUMN_MULTIPLE) > self.room() {
                 self.restart(out);
             }
             let columns = wanted.min(self.room());
@@ -310,23 +426,24 @@ impl Search<'_> {
             }
             let mut block = std::mem::take(&mut self.work.block);
             let directions = &mut block[..self.n * width];
-            if plain {
+            if self.guided {
+                let Workspace { symmetric, single, open, .. } = &mut *self.work;
+                let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
+                let sigma: Vec<f64> = open.iter().map(|c| out.sigma[*c]).collect();
+                symmetric.correct(self.parts, &sigma, single, stride);
+                to_double(&single[2][..self.n * stride], stride, directions, width);
+            } else if plain {
                 let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
                 to_double(&self.work.single[0][..self.n * stride], stride, directions, width);
             } else {
-                let Workspace { polynomial, factors, single, .. } = &mut *self.work;
-                match factors {
-                    Some(factors) => {
-                        let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
-                        factors.apply(&single[0], stride, directions, width);
-                    }
-                    None => {
-                        polynomial.apply(self.operator, self.parts, single, directions, width);
-                    }
-                }
+                self.work.apply(self.operator, self.parts, directions, width);
             }
             let kept = self.expand(directions, width, columns);
             self.work.block = block;
+            if kept == 0 && self.guided {
+                self.lose_guide(out);
+                continue;
+            }
             if kept == 0 {
                 // Weights may span more magnitudes than single precision does; use the plain
                 // residuals then.
@@ -456,6 +573,23 @@ impl Search<'_> {
         open.len()
     }
 
+    /// Restarts the space with the best triplets, whose images are computed again from W = V + S V.
+    fn renew(&mut self, out: &Triplets) {
+        let width = self.width;
+        let columns = width.min(self.work.basis.size);
+        let mut block = std::mem::take(&mut self.work.block);
+        self.parts.run(Strided(&mut block, width), |rows, block| {
+            let own = rows.start * width..rows.end * width;
+            let vectors = out.right[own.clone()].iter().zip(&out.image[own]);
+            for (to, (right, image)) in block.0.iter_mut().zip(vectors) {
+                *to = right + image;
+            }
+        });
+        self.work.basis.discard();
+        self.expand(&block, width, columns);
+        self.work.block = block;
+    }
+
     /// Restarts the space with the best triplets.
     fn restart(&mut self, out: &Triplets) {
         let width = self.width;
@@ -522,8 +656,7 @@ mod tests {
                 let full = full_svd(&katz_similarity(&a, alpha, &radius).unwrap()).unwrap();
                 let mut operator = KatzOperator::default();
                 operator.assign(&a, alpha, false, 1);
-                let request =
-                    Request { rank: 8, exact: 8, tolerance: 1e-9, probes: 0, seed: 5, threads: 1 };
+                let request = Request { rank: 8, exact: 8, tolerance: 1e-9, seed: 5, threads: 1 };
                 let mut out = Triplets::default();
                 leading_triplets(
                     &operator,

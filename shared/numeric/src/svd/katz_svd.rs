@@ -11,16 +11,18 @@
 //! caller.
 //!
 //! The residual of each triplet is measured, so every result comes with its own error bound. A
-//! residual cannot reveal a triplet that is missing altogether: random directions, added to every
-//! [`PROBE_SEARCHES`]th search, find those.
+//! residual cannot reveal a triplet that is missing altogether: directions outside of the known ones
+//! are kept for that, and what has changed most is looked at directly (see `probe`).
 
 mod certificate;
 mod error;
 mod options;
+mod probe;
 mod solver;
 mod triplets;
 
 pub use super::davidson::{SearchColumns, SearchRound, search_columns};
 pub use error::{KatzSvdError, MAX_EDGES};
 pub use options::{KatzSvdOptions, KatzSvdOptionsError, ROUGH_TOLERANCE, ValidKatzSvdOptions};
-pub use solver::{KatzSvd, KatzSvdReport, PROBE_DIRECTIONS, PROBE_SEARCHES, PROBE_UPDATES};
+pub use probe::PROBE_DIRECTIONS;
+pub use solver::{KatzSvd, KatzSvdReport, PROBE_STEPS};

@@ -7,6 +7,7 @@
 
 mod products;
 mod rows;
+pub(crate) mod symmetric;
 
 use crate::graph::ordering::proximity_order;
 use crate::linalg::matrix::SparseMatrix;
@@ -26,9 +27,10 @@ pub(crate) struct KatzOperator {
     backward: Rows,
     /// A new row.
     row: (Vec<u32>, Vec<f64>),
-    /// Largest row sum of αA at the last assignment, and including the rows replaced since.
+    /// Largest row sum of αA at the last assignment.
     heaviest: f64,
-    newest: f64,
+    /// Largest growth of a replaced row since the last [`KatzOperator::forget_growth`].
+    growth: f64,
 }
 
 /// Orientation of a product.
@@ -60,18 +62,21 @@ impl KatzOperator {
         let order = (!self.natural).then_some((&self.outer[..], &self.inner[..]));
         self.heaviest = self.forward.assign(a, alpha, order, threads);
         self.backward.assign_transpose(&self.forward, threads);
-        self.newest = self.heaviest;
     }
 
-    /// True when a replaced row is heavier than all rows were before: it may be the core of a new
-    /// singular triplet.
-    pub(crate) fn has_grown(&self) -> bool {
-        self.newest > self.heaviest
+    /// Largest row sum of αA at the last assignment.
+    pub(crate) fn heaviest(&self) -> f64 {
+        self.heaviest
     }
 
-    /// Makes the present weights the ones that later rows are compared with.
-    pub(crate) fn accept_weights(&mut self) {
-        self.heaviest = self.newest;
+    /// Largest growth of a row, the sum of what its weights have grown by, that was replaced since the
+    /// last [`KatzOperator::forget_growth`].
+    pub(crate) fn growth(&self) -> f64 {
+        self.growth
+    }
+
+    pub(crate) fn forget_growth(&mut self) {
+        self.growth = 0.0;
     }
 
     fn find_order(&mut self, a: &SparseMatrix) {
@@ -110,6 +115,11 @@ impl KatzOperator {
     pub(crate) fn is_isolated(&self, inner: usize) -> bool {
         let has_none = |orientation| self.rows(orientation).row(inner).0.is_empty();
         has_none(Orientation::Forward) && has_none(Orientation::Backward)
+    }
+
+    /// True when all edges have one back of the same weight.
+    pub(crate) fn is_symmetric(&self) -> bool {
+        (0..self.nodes).all(|i| self.forward.row(i) == self.backward.row(i))
     }
 
     /// Columns and weights of row `i` of αA or αAᵀ, in the inner order.
@@ -153,21 +163,23 @@ impl KatzOperator {
         if old == columns && old_weights == weights {
             return false;
         }
-        self.newest = self.newest.max(weights.iter().sum());
         // Both rows ascend: one merge finds the new weight of each column.
-        let (mut k, mut l) = (0, 0);
+        let (mut k, mut l, mut growth) = (0, 0, 0.0);
         while k < old.len() || l < columns.len() {
             let before = old.get(k).copied().unwrap_or(u32::MAX);
             let now = columns.get(l).copied().unwrap_or(u32::MAX);
             let column = before.min(now);
             let weight = if now == column { weights[l] } else { 0.0 };
-            if before != column || old_weights[k].to_bits() != weight.to_bits() {
+            let old_weight = if before == column { old_weights[k] } else { 0.0 };
+            growth += (weight - old_weight).max(0.0);
+            if before != column || old_weight.to_bits() != weight.to_bits() {
                 self.backward.set(column as usize, i as u32, weight);
             }
             touched.push(column);
             k += usize::from(before == column);
             l += usize::from(now == column);
         }
+        self.growth = self.growth.max(growth);
         self.forward.replace(i, columns, weights);
         true
     }

@@ -9,20 +9,37 @@ pub const SIGN_TIE: f64 = 1e-8;
 /// Flips each pair of columns so that the entry of u with the largest modulus is positive, the
 /// first of them within [`SIGN_TIE`].
 pub(crate) fn fix_signs(u: &mut DenseMatrix, v: &mut DenseMatrix) {
-    for j in 0..u.cols() {
-        if sign_of_column(u, j) < 0.0 {
-            scale_column(u, j, -1.0);
-            scale_column(v, j, -1.0);
+    // Row by row, as columns are far apart in memory.
+    let mut least = vec![0.0_f64; u.cols()];
+    for row in u.iter_rows() {
+        for (least, value) in least.iter_mut().zip(row) {
+            *least = value.abs().max(*least);
         }
     }
-}
-
-/// Sign of the first entry of column `j` whose modulus ties with the largest one.
-fn sign_of_column(u: &DenseMatrix, j: usize) -> f64 {
-    let column = u.column(j);
-    let top = column.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-    let leading = column.iter().find(|v| v.abs() >= top * (1.0 - SIGN_TIE));
-    leading.map_or(1.0, |v| if *v < 0.0 { -1.0 } else { 1.0 })
+    least.iter_mut().for_each(|top| *top *= 1.0 - SIGN_TIE);
+    let mut factors = vec![0.0; u.cols()];
+    let mut missing = u.cols();
+    for row in u.iter_rows() {
+        for ((factor, value), least) in factors.iter_mut().zip(row).zip(&least) {
+            if *factor == 0.0 && value.abs() >= *least {
+                *factor = if *value < 0.0 { -1.0 } else { 1.0 };
+                missing -= 1;
+            }
+        }
+        if missing == 0 {
+            break;
+        }
+    }
+    // A column that is not a number has no largest entry.
+    let negative = |factor: &f64| *factor < 0.0;
+    if factors.iter().any(negative) {
+        factors.iter_mut().filter(|factor| **factor == 0.0).for_each(|factor| *factor = 1.0);
+        for matrix in [u, v] {
+            for row in matrix.data_mut().chunks_exact_mut(factors.len()) {
+                row.iter_mut().zip(&factors).for_each(|(value, factor)| *value *= factor);
+            }
+        }
+    }
 }
 
 /// Multiplies column `j` by `factor`.

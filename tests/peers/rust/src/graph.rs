@@ -1,6 +1,9 @@
-//! The two kinds of fused graphs that a fleet is compared on.
+//! The kinds of fused graphs that a fleet is compared on.
 
 use muster_numeric::matrix::{MatrixError, SparseMatrix};
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
 use serde::Deserialize;
 
 use crate::cells::Cells;
@@ -27,7 +30,7 @@ const LINK: f64 = 0.5;
 /// Radius at which the smooth kernel ends, in mean spacings.
 const RADIUS: f64 = 1.95;
 
-/// What relates robots in addition to the chain of command, which is a tree.
+/// What relates robots: mostly something in addition to the chain of command, which is a tree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Kind {
@@ -36,6 +39,10 @@ pub(crate) enum Kind {
     /// Wendland's kernel of smoothness C², which falls to 0 with all who are within its radius: about
     /// 18 edges a robot.
     Smooth,
+    /// The smooth kernel without a chain of command.
+    Undirected,
+    /// The smooth kernel, and a chain of command that has nothing to do with where robots are.
+    Apart,
 }
 
 /// The fused graph of a fleet.
@@ -43,11 +50,15 @@ pub(crate) fn graph(fleet: &Fleet, kind: Kind) -> Result<SparseMatrix, MatrixErr
     let points = &fleet.points;
     let reach = match kind {
         Kind::Knn => 2.0,
-        Kind::Smooth => RADIUS,
+        Kind::Smooth | Kind::Undirected | Kind::Apart => RADIUS,
     };
     let cells = Cells::new(points, reach);
     let mut edges = Vec::with_capacity(20 * points.len());
     let mut found = Vec::new();
+    let mut places: Vec<usize> = (0..points.len()).collect();
+    if kind == Kind::Apart {
+        places.shuffle(&mut ChaCha8Rng::seed_from_u64(points.len() as u64));
+    }
     for robot in 0..points.len() {
         match kind {
             Kind::Knn => {
@@ -61,7 +72,7 @@ pub(crate) fn graph(fleet: &Fleet, kind: Kind) -> Result<SparseMatrix, MatrixErr
                     (quality > 0.0).then_some((robot, other, LINK * quality))
                 }));
             }
-            Kind::Smooth => {
+            Kind::Smooth | Kind::Undirected | Kind::Apart => {
                 cells.around(robot, 1, &mut found);
                 edges.extend(found.iter().filter_map(|&(square, other)| {
                     let r = square.sqrt() / RADIUS;
@@ -71,7 +82,10 @@ pub(crate) fn graph(fleet: &Fleet, kind: Kind) -> Result<SparseMatrix, MatrixErr
         }
         let first = SUBORDINATES * robot + 1;
         let last = (first + SUBORDINATES).min(points.len());
-        edges.extend((first.min(last)..last).map(|other| (robot, other, COMMAND)));
+        if kind != Kind::Undirected {
+            let followers = first.min(last)..last;
+            edges.extend(followers.map(|other| (places[robot], places[other], COMMAND)));
+        }
     }
     SparseMatrix::from_triplets(points.len(), edges)
 }

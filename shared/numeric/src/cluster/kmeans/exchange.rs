@@ -173,7 +173,7 @@ impl Next<'_> {
         }
         let (own_labels, _) = S::as_simd_u64s(&own_label);
         let (savings, _) = S::as_simd_f64s(&saving);
-        let (squares, _) = S::as_simd_f64s(&self.points.squares[place..]);
+        let (squares, _) = S::as_simd_f64s(&self.points.pack().squares[place..]);
         let mut gains = Gains {
             screen: self.screen,
             points: self.points,
@@ -187,7 +187,7 @@ impl Next<'_> {
         gains.squares.copy_from_slice(&squares[..R]);
         self.screen.packed.over(simd, &mut gains);
 
-        let slack = simd.splat_f64s(MARGIN_FACTOR * slack(self.points.pack.dims()));
+        let slack = simd.splat_f64s(MARGIN_FACTOR * slack(self.points.pack().pack.dims()));
         let smallest = simd.splat_f64s(f64::MIN_POSITIVE);
         let mut suspects = [0_u64; GROUP_POINTS * BLOCK_REGISTERS];
         let (registers, _) = S::as_mut_simd_u64s(&mut suspects);
@@ -228,7 +228,8 @@ impl<S: Simd, const R: usize> GroupKernel<S, R> for Gains<'_, S, R> {
     #[inline(always)]
     fn run<const C: usize, const F: usize>(&mut self, simd: S, group: usize) {
         let packed = &self.screen.packed;
-        let values = packed.shortened::<S, R, C, F>(simd, self.points, self.place, group);
+        let values =
+            packed.shortened::<S, R, C, F>(simd, &self.points.pack().pack, self.place, group);
         let costs = &self.screen.costs[group * GROUP_POINTS..(group + 1) * GROUP_POINTS];
         let (two, never) = (simd.splat_f64s(2.0), simd.splat_f64s(f64::INFINITY));
         for c in 0..C {

@@ -222,7 +222,7 @@ fn spread(x: &DenseMatrix) -> f64 {
 /// Unit of squared distances of these points, in which costs are integers.
 fn cost_unit(points: &Points<'_>) -> f64 {
     // No two points, and no point and a mean, are further apart than twice the longest centred row.
-    CostMatrix::unit_for(4.0 * points.squares.iter().fold(0.0, |a: f64, b| a.max(*b)))
+    CostMatrix::unit_for(4.0 * points.pack().squares.iter().fold(0.0, |a: f64, b| a.max(*b)))
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! A partition of points into clusters, and Lloyd's iteration.
 
-use super::assign::{Packed, assign_chunk};
+use super::assign::{Centroids, assign_chunk};
 use super::points::{CHUNK_POINTS, Points, spread};
 use super::sums::{Move, Sums};
 use crate::linalg::matrix::DenseMatrix;
@@ -136,10 +136,9 @@ impl Partition {
     /// Labels every point by its nearest centroid. Returns the number of changes, and the changes
     /// themselves if they are few.
     fn assign(&mut self, points: &Points<'_>) -> (usize, Option<Vec<Move>>) {
-        let packed = Packed::new(points, &self.centroids);
-        let centroids = &self.centroids;
+        let centroids = Centroids::new(points, &self.centroids);
         let changes = points.for_chunks(&mut self.labels, CHUNK_POINTS, |chunk, labels| {
-            assign_chunk(points, centroids, &packed, chunk, labels)
+            assign_chunk(points, &centroids, chunk, labels)
         });
         let count = changes.iter().map(|part| part.count).sum();
         let complete = changes.iter().all(|part| part.list.len() == part.count);

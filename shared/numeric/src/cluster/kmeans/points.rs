@@ -1,11 +1,14 @@
 //! The points of one call, in the form that the kernels read.
 
+use std::sync::OnceLock;
+
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
+use super::single::SinglePoints;
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::simd::dispatch;
-use crate::linalg::simd_pack::{BLOCK_REGISTERS, GROUP_POINTS, SimdPack};
+use crate::linalg::simd_pack::{BLOCK_REGISTERS, GROUP_POINTS, SimdPack, centre};
 
 /// Points that one thread processes together: a multiple of the points of a block. The bounds of
 /// the chunks depend on nothing else, so that sums over chunks are the same for any number of
@@ -16,14 +19,22 @@ pub(super) const CHUNK_POINTS: usize = 256 * GROUP_POINTS * BLOCK_REGISTERS;
 /// each other.
 const PARALLEL_POINTS: usize = 100_000;
 
+/// The points, packed and centred.
+pub(super) struct CentredPack {
+    pub(super) pack: SimdPack,
+    /// Squared length of every packed point.
+    pub(super) squares: Vec<f64>,
+}
+
 /// The points, as given, and packed and centred.
 pub(super) struct Points<'a> {
     pub(super) x: &'a DenseMatrix,
-    pub(super) pack: SimdPack,
+    /// In double precision, once it is needed.
+    pack: OnceLock<CentredPack>,
+    /// In single precision, where its range is enough.
+    pub(super) single: Option<SinglePoints>,
     /// Centre of the packed points.
     pub(super) centre: Vec<f64>,
-    /// Squared length of every packed point.
-    pub(super) squares: Vec<f64>,
     parallel: bool,
 }
 
@@ -31,10 +42,25 @@ impl<'a> Points<'a> {
     /// Packs the rows of `x`, at least one. The threads of the surrounding pool share the chunks if
     /// `threads` is above 1 and there are enough points.
     pub(super) fn new(x: &'a DenseMatrix, threads: usize) -> Self {
-        let (pack, centre) = SimdPack::centred(x);
-        let squares = pack.squares();
+        let centre = centre(x);
+        let single = SinglePoints::new(x, &centre);
         let parallel = threads > 1 && x.rows() >= PARALLEL_POINTS;
-        Self { x, pack, centre, squares, parallel }
+        Self { x, pack: OnceLock::new(), single, centre, parallel }
+    }
+
+    /// The points in double precision.
+    pub(super) fn pack(&self) -> &CentredPack {
+        self.pack.get_or_init(|| {
+            let (pack, _) = SimdPack::centred(self.x);
+            let squares = pack.squares();
+            CentredPack { pack, squares }
+        })
+    }
+
+    /// True when double precision was needed.
+    #[cfg(test)]
+    pub(super) fn is_packed(&self) -> bool {
+        self.pack.get().is_some()
     }
 
     /// Number of points.

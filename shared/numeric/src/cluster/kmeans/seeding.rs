@@ -74,7 +74,7 @@ struct NearestChosen {
 impl NearestChosen {
     /// Distances from no point: infinite.
     fn new(points: &Points<'_>) -> Self {
-        let mut squares = vec![f64::INFINITY; points.pack.places()];
+        let mut squares = vec![f64::INFINITY; points.pack().pack.places()];
         squares[points.len()..].fill(0.0);
         Self { points: points.len(), squares, sums: Vec::new() }
     }
@@ -140,7 +140,7 @@ impl NearestChosen {
 fn packed(points: &Points<'_>, chosen: &[usize]) -> SimdPack {
     let mut pack = SimdPack::zeros(GROUP_POINTS, points.x.cols());
     for (place, &point) in chosen.iter().enumerate() {
-        pack.copy_point(place, &points.pack, point);
+        pack.copy_point(place, &points.pack().pack, point);
     }
     pack
 }
@@ -159,7 +159,7 @@ impl WithSimd for Lower<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
         let mut total = simd.splat_f64s(0.0);
         let (squares, _) = S::as_mut_simd_f64s(self.squares);
-        let pack = &self.points.pack;
+        let pack = &self.points.pack().pack;
         let mut blocks = squares.chunks_exact_mut(BLOCK_REGISTERS);
         let mut place = self.first;
         for block in &mut blocks {
@@ -228,7 +228,7 @@ impl<S: Simd, const R: usize> GroupKernel<S, R> for Sum<'_, S, R> {
     #[allow(clippy::needless_range_loop, reason = "registers of several arrays belong together")]
     #[inline(always)]
     fn run<const C: usize, const F: usize>(&mut self, simd: S, group: usize) {
-        let pack = &self.work.points.pack;
+        let pack = &self.work.points.pack().pack;
         let others = self.work.others;
         let found = squared_distances::<S, R, C, F>(simd, pack, self.place, others, group);
         for c in 0..C {

@@ -144,6 +144,19 @@ impl DenseMatrix {
         Self { rows, cols, data }
     }
 
+    /// A matrix of `rows` rows of `cols` entries, each of which `fill` writes over zeros.
+    pub(crate) fn from_row_fn(
+        rows: usize,
+        cols: usize,
+        mut fill: impl FnMut(usize, &mut [f64]),
+    ) -> Self {
+        let mut data = vec![0.0; rows * cols];
+        for (i, row) in data.chunks_exact_mut(cols.max(1)).enumerate() {
+            fill(i, row);
+        }
+        Self { rows, cols, data }
+    }
+
     /// Mutable access for the algorithms of this crate, which keep the bound on the entries.
     pub(crate) fn row_mut(&mut self, i: usize) -> &mut [f64] {
         &mut self.data[i * self.cols..(i + 1) * self.cols]

@@ -227,6 +227,30 @@ impl SparseMatrix {
         fits
     }
 
+    /// Sum of row `i`.
+    pub(crate) fn row_sum(&self, i: usize) -> f64 {
+        self.weights[self.starts[i]..self.starts[i + 1]].iter().sum()
+    }
+
+    /// By how much the entries of row `i` of `scale` times this matrix exceed those of `old_scale` times
+    /// `old`, which has as many nodes: the sum of what exceeds.
+    pub(crate) fn row_growth(&self, i: usize, scale: f64, old: &Self, old_scale: f64) -> f64 {
+        let (own, from) = (self.starts[i]..self.starts[i + 1], old.starts[i]..old.starts[i + 1]);
+        let (columns, weights) = (&self.columns[own.clone()], &self.weights[own]);
+        let (old_columns, old_weights) = (&old.columns[from.clone()], &old.weights[from]);
+        let growth = |weight: f64, before: f64| (scale * weight - old_scale * before).max(0.0);
+        if columns == old_columns {
+            return weights.iter().zip(old_weights).map(|(w, before)| growth(*w, *before)).sum();
+        }
+        let mut before = old_columns.iter().zip(old_weights).peekable();
+        let grown = |(column, weight): (&u32, &f64)| {
+            while before.next_if(|(other, _)| *other < column).is_some() {}
+            let old = before.next_if(|(other, _)| *other == column).map_or(0.0, |(_, w)| *w);
+            growth(*weight, old)
+        };
+        columns.iter().zip(weights).map(grown).sum()
+    }
+
     /// True when the rows from `first` to before `last` equal those of `other` bit for bit.
     fn same_rows(&self, other: &Self, first: usize, last: usize) -> bool {
         let (from, to) = (self.starts[first], self.starts[last]);

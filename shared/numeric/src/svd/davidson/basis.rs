@@ -20,6 +20,10 @@ use crate::linalg::vector::zeros;
 /// ones. It is scaled up to length 1 again, and the rounding of S V with it.
 const DEPENDENT_SQUARE: f64 = 1e-12;
 
+/// The same for directions that were made independent before. What becomes short again consists of
+/// rounding errors, and S V would no longer belong to V once it is scaled up.
+const SPENT_SQUARE: f64 = 1e-2;
+
 /// Most attempts to make directions independent. Twice is enough (Kahan and Parlett).
 const MAX_ATTEMPTS: usize = 3;
 
@@ -34,6 +38,9 @@ pub(super) struct Basis {
     pub(super) stride: usize,
     /// Number of directions in use.
     pub(super) size: usize,
+    /// About how far S V is from the image of V, relative to σ₁: what is left of a direction is scaled
+    /// up to length 1, and the errors of all that was subtracted with it.
+    pub(super) error: f64,
     /// T, size × size in rows of `stride` values, upper triangular.
     change: Aligned<f64>,
     /// (S V T)ᵀ S V T, likewise.
@@ -67,11 +74,16 @@ impl Basis {
     pub(super) fn prepare(&mut self, n: usize, capacity: usize, least: usize) {
         self.nodes = n;
         self.stride = capacity;
-        self.size = 0;
+        self.discard();
         self.space.resize(n * capacity.max(least));
         self.image.resize(n * capacity);
         self.change.resize(capacity * capacity);
         self.energy.resize(capacity * capacity);
+    }
+
+    /// Discards the present directions.
+    pub(super) fn discard(&mut self) {
+        (self.size, self.error) = (0, f64::EPSILON);
     }
 
     /// V and S V, in rows of `stride` values.
@@ -97,13 +109,18 @@ impl Basis {
         let mut columns = columns;
         for attempt in 1..=MAX_ATTEMPTS {
             let last = attempt == MAX_ATTEMPTS;
-            match self.factorise(columns, width, if last { 0.0 } else { least_length }) {
+            let least_square = if attempt == 1 { DEPENDENT_SQUARE } else { SPENT_SQUARE };
+            let least_length = if last { 0.0 } else { least_length };
+            match self.factorise(columns, width, least_square, least_length) {
                 Factor::Independent => {
                     self.admit(columns, width);
                     return columns;
                 }
                 _ if last => return 0,
-                Factor::Combined(kept) => columns = kept,
+                Factor::Combined { kept, left } => {
+                    columns = kept;
+                    self.error /= left;
+                }
                 Factor::None => return 0,
             }
             let all = first + width;
@@ -176,8 +193,14 @@ impl Basis {
 
     /// Decomposes the Schur complement of the space in the Gram matrix of the new directions,
     /// scaled to length 1. Leaves the inverse factor, or the combination of all directions that
-    /// replaces the new ones.
-    fn factorise(&mut self, columns: usize, width: usize, least_length: f64) -> Factor {
+    /// replaces the new ones: those of which more than `least_square` is left.
+    fn factorise(
+        &mut self,
+        columns: usize,
+        width: usize,
+        least_square: f64,
+        least_length: f64,
+    ) -> Factor {
         let (stride, first) = (self.stride, self.size);
         let all = first + width;
         if !self.scale_gram(columns, width) {
@@ -203,16 +226,19 @@ impl Basis {
         let inverse = zeros(&mut small.inverse, width * width);
         let mut kept = columns;
         let mut left = 0.0;
-        if self.symmetric.cholesky(&mut small.factor, columns, DEPENDENT_SQUARE) {
+        let shortest;
+        if self.symmetric.cholesky(&mut small.factor, columns, least_square) {
             let factor = &small.factor;
             left = (0..columns).map(|i| factor[i * columns + i]).fold(1.0, f64::min);
+            shortest = left;
             invert_transpose(factor, columns, inverse, width);
         } else {
             // Some directions are dependent: keep the principal ones.
             let Some((values, vectors)) = self.symmetric.eigen(schur, columns) else {
                 return Factor::None;
             };
-            kept = values.iter().filter(|value| **value > DEPENDENT_SQUARE).count();
+            kept = values.iter().filter(|value| **value > least_square).count();
+            shortest = values[..kept].last().map_or(1.0, |value| value.sqrt());
             for i in 0..columns {
                 for j in 0..kept {
                     inverse[i * width + j] = vectors[i * columns + j] / values[j].sqrt();
@@ -236,7 +262,7 @@ impl Basis {
         if left > 0.0 && left >= least_length {
             Factor::Independent
         } else {
-            Factor::Combined(kept)
+            Factor::Combined { kept, left: shortest }
         }
     }
 
@@ -324,8 +350,8 @@ impl Basis {
 enum Factor {
     /// All directions are independent.
     Independent,
-    /// This many are, after they are combined.
-    Combined(usize),
+    /// This many are, after they are combined; the length that is left of the shortest one.
+    Combined { kept: usize, left: f64 },
     /// None is independent.
     None,
 }

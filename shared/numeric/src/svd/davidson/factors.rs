@@ -6,15 +6,13 @@
 //! 1996). Rows and columns are eliminated in one pass along the elimination tree of the symmetric
 //! pattern (Davis, ACM Trans. Math. Softw. 31, 2005), so that both factors share one pattern.
 
+use crate::graph::elimination::{NONE, elimination_tree};
 use crate::linalg::backend::sparse_order::least_degree_order;
 use crate::svd::operator::{KatzOperator, Orientation};
 
 /// Most entries of one factor: 20 bytes each, 640 MiB. Fleets of 100,000 robots have a quarter of
 /// that.
 const MAX_ENTRIES: usize = 1 << 25;
-
-/// No node.
-const NONE: u32 = u32::MAX;
 
 /// Factors of P M Pᵀ = L U.
 #[derive(Debug, Default)]
@@ -49,7 +47,7 @@ impl Factors {
             let i = order[k] as usize;
             forward(i).0.iter().chain(backward(i).0).map(|j| place[*j as usize] as usize)
         };
-        let (parents, starts) = elimination_tree(n, neighbours)?;
+        let (parents, starts) = elimination_tree(n, MAX_ENTRIES, neighbours)?;
         let entries = starts[n];
         let (mut nodes, mut lower, mut upper) =
             (vec![0_u32; entries], vec![0.0; entries], vec![0.0; entries]);
@@ -174,39 +172,6 @@ fn subtract(to: &mut [f64], factor: f64, from: &[f64]) {
     for (to, from) in to.iter_mut().zip(from) {
         *to -= factor * from;
     }
-}
-
-/// The parent of each node in the elimination tree of a symmetric pattern, and the starts of the
-/// columns of its factor; `None` where these have more than [`MAX_ENTRIES`] together.
-fn elimination_tree<I: Iterator<Item = usize>>(
-    n: usize,
-    neighbours: impl Fn(usize) -> I,
-) -> Option<(Vec<u32>, Vec<usize>)> {
-    let (mut parents, mut seen) = (vec![NONE; n], vec![NONE; n]);
-    let mut starts = vec![0; n + 1];
-    let mut entries = 0;
-    for k in 0..n {
-        seen[k] = k as u32;
-        for j in neighbours(k).filter(|j| *j < k) {
-            let mut j = j;
-            while seen[j] != k as u32 {
-                if parents[j] == NONE {
-                    parents[j] = k as u32;
-                }
-                seen[j] = k as u32;
-                starts[j + 1] += 1;
-                entries += 1;
-                j = parents[j] as usize;
-            }
-        }
-        if entries > MAX_ENTRIES {
-            return None;
-        }
-    }
-    for j in 0..n {
-        starts[j + 1] += starts[j];
-    }
-    Some((parents, starts))
 }
 
 #[cfg(test)]

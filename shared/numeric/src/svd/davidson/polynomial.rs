@@ -9,6 +9,7 @@ use crate::linalg::Aligned;
 use crate::linalg::block_vectors::{CHUNK_ROWS, COLUMN_MULTIPLE};
 use crate::linalg::parallel::{Parts, Strided};
 use crate::linalg::simd::dispatch;
+use crate::linalg::single_block::SINGLE_COLUMN_MULTIPLE;
 use crate::svd::operator::{KatzOperator, Orientation};
 
 /// Largest degree of the polynomial for most graphs.
@@ -51,10 +52,6 @@ const FIT_SEARCHES: u32 = 20;
 
 /// Relative change of α above which the polynomial is fitted again at once.
 const MAX_DECAY_CHANGE: f64 = 0.05;
-
-/// Columns of a block in single precision are a multiple of this: the floats of the widest
-/// registers.
-pub(super) const SINGLE_COLUMN_MULTIPLE: usize = 2 * COLUMN_MULTIPLE;
 
 /// p(B) ≈ (I − B)⁻¹.
 #[derive(Debug, Default)]
@@ -104,6 +101,11 @@ impl Polynomial {
         all[..usual.len()].copy_from_slice(usual);
         extend_powers(operator, parts, &mut all, USUAL_POWERS);
         self.choose(parts, &all, sums, USUAL_DEGREE + 1..=MAX_DEGREE);
+    }
+
+    /// True when a polynomial was fitted to a graph of as many nodes.
+    pub(super) fn serves(&self, operator: &KatzOperator) -> bool {
+        self.degree > 0 && self.nodes == operator.nodes()
     }
 
     /// True when not even the largest degree is near (I − B)⁻¹.

@@ -132,6 +132,7 @@ impl Certificate {
         let scratch = &mut self.scratch;
         scratch.changed.clear();
         scratch.touched.clear();
+        operator.forget_growth();
         for &outer in changed {
             if operator.replace_row(a, outer, &mut scratch.touched) {
                 scratch.changed.push(operator.inner()[outer]);
@@ -142,6 +143,11 @@ impl Certificate {
     /// True when one of the rows that were last replaced has changed.
     pub(super) fn has_changes(&self) -> bool {
         !self.scratch.changed.is_empty()
+    }
+
+    /// Rows that have changed and columns in which they have or had entries, in the inner order.
+    pub(super) fn touched(&self) -> impl Iterator<Item = u32> {
+        self.scratch.changed.iter().chain(&self.scratch.touched).copied()
     }
 
     /// Updates the sums, and the triplets with them, by the replaced rows. False when V is no

@@ -49,16 +49,21 @@ impl KatzSvd {
         let cut = NULL_VALUE_RATIO * sigma[0];
         let inner = self.operator.inner();
         let (right, image) = self.vectors();
-        let at = |i: usize, j: usize| inner[i] as usize * width + j;
-        let isolated = |i: usize| self.operator.is_isolated(inner[i] as usize);
+        // Values descend.
+        let kept = sigma[..k].iter().take_while(|sigma| **sigma > cut).count();
+        let row = |block: &'_ [f64], i: usize, to: &mut [f64]| {
+            let inner = inner[i] as usize;
+            if !self.operator.is_isolated(inner) {
+                to[..kept].copy_from_slice(&block[inner * width..][..kept]);
+            }
+        };
         let mut svd = RankKSvd {
-            u: DenseMatrix::from_fn(self.nodes, k, |i, j| {
-                if sigma[j] > cut && !isolated(i) { image[at(i, j)] / sigma[j] } else { 0.0 }
+            u: DenseMatrix::from_row_fn(self.nodes, k, |i, to| {
+                row(image, i, to);
+                to.iter_mut().zip(&sigma[..kept]).for_each(|(value, sigma)| *value /= sigma);
             }),
             sigma: sigma[..k].to_vec(),
-            v: DenseMatrix::from_fn(self.nodes, k, |i, j| {
-                if sigma[j] > cut && !isolated(i) { right[at(i, j)] } else { 0.0 }
-            }),
+            v: DenseMatrix::from_row_fn(self.nodes, k, |i, to| row(right, i, to)),
             // Of values beyond those that were found, no gap is claimed.
             sigma_next: (k < self.nodes).then(|| sigma[k.min(nodes - 1)]),
             next_residual: residuals.get(k).copied().unwrap_or(0.0) * sigma[0],

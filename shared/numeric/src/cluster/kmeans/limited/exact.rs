@@ -41,7 +41,9 @@ impl Task<'_> {
             return found;
         }
         let mut order: Vec<usize> = (0..points).collect();
-        order.sort_by(|a, b| self.points.squares[*b].total_cmp(&self.points.squares[*a]));
+        order.sort_by(|a, b| {
+            self.points.pack().squares[*b].total_cmp(&self.points.pack().squares[*a])
+        });
         let mut search = Search {
             task: self,
             places: Places::empty(self.limits.rules, points),

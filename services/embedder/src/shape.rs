@@ -1,0 +1,85 @@
+//! The number of teams that the fleet shows and K, kept on disk so that they stand after a restart of everything.
+//!
+//! Both are kept from frame to frame where others are hardly better. An embedder that knows no embedding of before could choose
+//! others on the same graphs, and robots would change team though nothing has changed.
+
+use std::time::Duration;
+
+use muster_model::embedding::Embedding;
+use muster_model::time::Tick;
+use muster_wire::kept::KeptShape;
+
+/// Shortest time between two writes: a fleet whose number changes in every frame must not wear out its disk.
+const WRITE_INTERVAL: Duration = Duration::from_millis(500);
+
+/// How long after a failed write the next is tried.
+const RETRY_TIME: Duration = Duration::from_secs(10);
+
+/// How often a standby asks for the embedding of its leader: after a power cut either may lead. An embedding of thousands of
+/// robots is megabytes, and the number seldom changes.
+const ASK_INTERVAL: Duration = Duration::from_secs(10);
+
+/// What is known, and what is on disk.
+#[derive(Debug, Default)]
+pub(crate) struct Shape {
+    newest: Option<KeptShape>,
+    written: Option<KeptShape>,
+    /// When the next write may begin, if anything has changed.
+    next_write: Tick,
+    /// When a standby asked last.
+    asked: Tick,
+}
+
+impl Shape {
+    /// Takes over what was kept.
+    ///
+    /// # Errors
+    /// What is wrong with the bytes.
+    pub(crate) fn restore(&mut self, content: &[u8]) -> Result<(), String> {
+        let kept = KeptShape::decode(content).map_err(|error| error.to_string())?;
+        (self.newest, self.written) = (Some(kept), Some(kept));
+        Ok(())
+    }
+
+    /// An embedding was published, by this instance or its leader.
+    pub(crate) fn note(&mut self, embedding: &Embedding) {
+        let teams = embedding.quality.teams_shown.unwrap_or(0);
+        self.newest = Some(KeptShape { teams, rank: embedding.dimension / 2 });
+    }
+
+    /// What the first embedding of this process goes on from, if none is known on the bus.
+    pub(crate) fn newest(&self) -> Option<KeptShape> {
+        self.newest
+    }
+
+    /// When something is to be written.
+    pub(crate) fn write_due(&self) -> Option<Tick> {
+        (self.newest != self.written).then_some(self.next_write)
+    }
+
+    /// The bytes to be written, if that is due.
+    pub(crate) fn write(&mut self, now: Tick) -> Option<Vec<u8>> {
+        let newest = self.newest.filter(|_| self.write_due().is_some_and(|due| due <= now))?;
+        self.written = Some(newest);
+        self.next_write = now.after(WRITE_INTERVAL);
+        newest.encode().ok()
+    }
+
+    /// A write has ended.
+    pub(crate) fn write_ended(&mut self, now: Tick, is_on_disk: bool) {
+        if !is_on_disk {
+            self.written = None;
+            self.next_write = now.after(RETRY_TIME);
+        }
+    }
+
+    /// When a standby asks its leader again.
+    pub(crate) fn ask_due(&self) -> Tick {
+        self.asked.after(ASK_INTERVAL)
+    }
+
+    /// The leader was asked.
+    pub(crate) fn asked(&mut self, now: Tick) {
+        self.asked = now;
+    }
+}
