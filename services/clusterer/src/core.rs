@@ -278,7 +278,8 @@ impl Core for Clusterer {
     type Job = Job;
     type Done = Result<Teams, DivisionError>;
     const SERVICE: ServiceName = ServiceName::Clusterer;
-    const KEEPS: bool = true;
+    const WITHOUT_KEPT: Option<&'static str> =
+        Some("if no other service has its last output, ids of teams begin with t1 again");
 
     fn wiring() -> Wiring {
         let subscription =
@@ -330,6 +331,7 @@ impl Core for Clusterer {
 
     fn on_lead(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
         self.inherit(context.now(), &answers);
+        self.recover_wishes(context);
         self.publish_wishes(context, &[]);
         self.accept_all(context, answers);
         self.consider(context);

@@ -320,7 +320,7 @@ mod tests {
     #[test]
     fn what_cannot_be_read_is_refused() {
         let mut keeping = Keeping::default();
-        assert!(keeping.restore(b"{}").unwrap_err().contains("no kept division"));
+        assert!(keeping.restore(b"{}").unwrap_err().contains("no file that this service has kept"));
         let used_up =
             |reserved| KeptTeams { reserved, teams: None, wishes: None }.encode().unwrap();
         for reserved in [MAX_KEPT_NUMBER + 1, u64::MAX] {

@@ -60,13 +60,16 @@ export class Viewer {
         });
     }
 
-    /** Waits until something holds. @param {string} what @param {() => any} holds */
-    async until(what, holds) {
+    /**
+     * Waits until something holds.
+     * @param {string} what @param {() => any} holds @param {() => string} instead says what there is instead
+     */
+    async until(what, holds, instead = () => "") {
         const started = Date.now();
         for (;;) {
             const value = await holds();
             if (value) return value;
-            if (Date.now() - started > WITHIN) throw new Error(`${what}: not within ${WITHIN} ms`);
+            if (Date.now() - started > WITHIN) throw new Error(`${what}: not within ${WITHIN} ms ${instead()}`);
             await new Promise((resolve) => setTimeout(resolve, 20));
         }
     }

@@ -31,6 +31,11 @@ const MAX_LOAD_DIVISOR: u32 = 4;
 /// Longest time that a frame counts as having taken, so that a host that hung during one soon makes the next.
 const MAX_FRAME_TIME: Duration = Duration::from_millis(250);
 
+/// By how much timers come late on a machine with little to do. Frames that are late by no more do not move those after
+/// them: a fleet that moves all the time has exactly as many a second as are set, and who puts just before one frame
+/// puts just before the next.
+const TIMER_DELAY: Duration = Duration::from_millis(5);
+
 /// One graph as it was last published.
 #[derive(Debug, Default)]
 struct Graph {
@@ -126,9 +131,13 @@ impl Frames {
     pub(crate) fn due(&self, settings: &IngestSettings) -> Option<Tick> {
         let heartbeat = self.published.map(|published| published.after(HEARTBEAT));
         let wanted = self.changed.into_iter().chain(heartbeat).min()?;
+        Some(self.allowed(settings).map_or(wanted, |allowed| allowed.max(wanted)))
+    }
+
+    /// When the next frame may be made at the earliest.
+    fn allowed(&self, settings: &IngestSettings) -> Option<Tick> {
         let pause = period(settings).max(self.took.saturating_mul(MAX_LOAD_DIVISOR));
-        let allowed = self.attempted.map(|last| last.after(pause));
-        Some(allowed.map_or(wanted, |allowed| allowed.max(wanted)))
+        self.attempted.map(|last| last.after(pause))
     }
 
     /// Makes a frame: the deltas of the graphs that changed, then the roster. Nothing if nothing has
@@ -139,7 +148,9 @@ impl Frames {
         fleet: &Fleet,
     ) -> Vec<Message> {
         let now = context.now();
-        self.attempted = Some(now);
+        let allowed = self.allowed(context.settings());
+        let in_time = allowed.filter(|allowed| now.since(*allowed) <= TIMER_DELAY);
+        self.attempted = Some(in_time.unwrap_or(now));
         self.making = Some(now);
         self.changed = None;
         if let Some(declared) = self.declared.take() {

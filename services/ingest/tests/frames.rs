@@ -181,6 +181,31 @@ fn frames_that_take_long_are_fewer_until_they_are_short_again() {
     assert!(times[1..].windows(2).all(|pair| pair[1].since(pair[0]) == seconds(0.1)), "{times:?}");
 }
 
+/// Timers come a little late, each time.
+#[test]
+fn frames_that_are_made_a_moment_late_do_not_move_those_after_them() {
+    let mut bench = Bench::default();
+    bench.receive(pose("r1", 0.0, 0.0));
+    bench.wait(0.55);
+    // How late in seconds, and how many frames there are in ten seconds: one that is later is no timer's fault.
+    for (late, frames) in [(0.0, 100), (0.001, 100), (0.005, 100), (0.02, 83)] {
+        bench.wait(1.0);
+        let from = bench.frame_times().len();
+        let end = bench.now.after(seconds(10.0));
+        for step in 1.. {
+            bench.receive(pose("r1", f64::from(step), late));
+            let due = bench.host.deadline().unwrap();
+            bench.now = due.max(bench.now).after(seconds(late));
+            if bench.now > end {
+                break;
+            }
+            bench.input(Input::Timer);
+        }
+        let made = bench.frame_times().len() - from;
+        assert!(made.abs_diff(frames) <= 1, "{late} s late: {made} frames");
+    }
+}
+
 #[test]
 fn an_early_timeout_makes_no_frame() {
     let mut bench = Bench::default();

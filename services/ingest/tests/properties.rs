@@ -85,9 +85,19 @@ fn answers_are_what_was_followed(bench: &mut Bench) {
     assert_eq!(bench.get("roster", None), Ok(vec![Message::Roster(roster)]));
 }
 
+/// However long one looks, there are no more frames than the fastest rate allows. One frame may be late by what a
+/// timer is late (5 ms) without moving those after it, so that two are nearer each other by no more than that.
 fn frames_keep_their_rate(bench: &Bench) {
-    for pair in bench.frame_times().windows(2) {
-        assert!(pair[1].since(pair[0]) >= seconds(0.1), "the fastest rate is 10 Hz");
+    let times = bench.frame_times();
+    for (first, begin) in times.iter().enumerate() {
+        for (periods, end) in (1..).zip(&times[first + 1..]) {
+            let shortest = seconds(f64::from(periods) * 0.1 - 0.005);
+            assert!(
+                end.since(*begin) >= shortest,
+                "{periods} periods of 10 Hz in {:?}",
+                end.since(*begin)
+            );
+        }
     }
 }
 

@@ -28,7 +28,7 @@ pub(crate) fn order(id: &TeamId) -> (u64, &str) {
 }
 
 /// The number of an id that [`TeamId::numbered`] made.
-fn number(id: &TeamId) -> Option<u64> {
+pub(crate) fn number(id: &TeamId) -> Option<u64> {
     let digits = id.as_str().strip_prefix('t')?;
     let number = digits.parse().ok()?;
     // `t01` and `t+1` are names, not numbers.

@@ -8,6 +8,8 @@ use muster_model::limits::{MAX_ROBOTS, MAX_TEAMS};
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
 
+use crate::identity::number;
+
 /// How long a robot's last team, and a team that ended, are remembered: a platoon that drives through a
 /// tunnel or is restarted is back within it, and one that comes later is another platoon.
 pub const TEAM_MEMORY_TIME: Duration = Duration::from_secs(60);
@@ -22,6 +24,8 @@ pub struct Memory {
     pub(crate) ended: BTreeMap<TeamId, Ended>,
     /// No division that was received has this team number or a higher one.
     pub next_team: u64,
+    /// Teams with this number and higher ones began when no robot was there that had been in a team before.
+    newcomers_from: u64,
 }
 
 /// A team that ended.
@@ -36,6 +40,12 @@ impl Memory {
     pub fn follow(&mut self, now: Tick, before: Option<&Teams>, after: &Teams) {
         let placed: BTreeSet<&RobotId> = after.assignments().map(|(robot, _)| robot).collect();
         let living: BTreeSet<&TeamId> = after.teams.iter().map(|team| &team.id).collect();
+        let mut members = before.into_iter().flat_map(Teams::assignments);
+        let is_any_known = members.any(|(robot, _)| placed.contains(robot))
+            || placed.iter().any(|robot| self.last.contains_key(*robot));
+        if !placed.is_empty() && !is_any_known {
+            self.newcomers_from = self.next_team;
+        }
         for team in before.into_iter().flat_map(|before| &before.teams) {
             for member in team.members.iter().filter(|m| !placed.contains(&m.robot)) {
                 self.last.insert(member.robot.clone(), (team.id.clone(), now));
@@ -92,6 +102,11 @@ impl Memory {
     #[must_use]
     pub fn last_team(&self, robot: &RobotId) -> Option<&TeamId> {
         self.last.get(robot).map(|(team, _)| team)
+    }
+
+    /// Whether a team began when no robot was there that had been in a team before.
+    pub(crate) fn is_of_newcomers(&self, id: &TeamId) -> bool {
+        number(id).is_none_or(|number| number >= self.newcomers_from)
     }
 
     /// Teams that ended as their robots left: most of them are in no team since, and not all of those `reserved`.
@@ -164,6 +179,7 @@ mod tests {
             last: (0..left).map(|number| (robot(number), (team(0), at(number)))).collect(),
             ended: ended.collect(),
             next_team: 0,
+            newcomers_from: 0,
         }
     }
 

@@ -7,6 +7,9 @@
 //! the evidence decides whether they get a free seat. The first robots of a team that returns may be too few to
 //! be one by the evidence: for a moment after they came their team has its seat whatever the evidence is, and every
 //! robot without new orders stays in its last team (`division`).
+//!
+//! Robots that came when none was there that had been in a team are another fleet: while no earlier robot
+//! returns, no seat is kept for the teams of the earlier ones.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -65,7 +68,9 @@ impl Seats {
                 seats.absent = seats.absent.saturating_add(1);
             }
         }
-        for id in memory.lost_teams(reserved) {
+        let are_newcomers = occupied.iter().all(|id| memory.is_of_newcomers(id));
+        let lost = memory.lost_teams(reserved);
+        for id in lost.filter(|id| !are_newcomers || memory.is_of_newcomers(id)) {
             if occupied.contains(id) {
                 seats.present.insert(id.clone());
                 seats.returning += 1;

@@ -91,11 +91,13 @@ impl Commands {
         self.pending.remove(&get)
     }
 
-    /// Remembers an outcome. Returns whether it was not known, and there was room for it.
+    /// Remembers an outcome. Returns whether it was not known, and there was room for it. What one leader has carried out
+    /// counts, even if another one at the same time has refused it, by a wrong clock for example.
     pub(crate) fn remember(&mut self, outcome: Arc<CommandOutcome>) -> bool {
         let name = (outcome.operator.clone(), outcome.id.clone());
         match self.outcomes.get(&name) {
-            Some(known) if !known.may_be_repeated => return false,
+            Some(known) if known.refused.is_none() => return false,
+            Some(known) if outcome.refused.is_some() && !known.may_be_repeated => return false,
             Some(_) => {
                 let place = self.order.iter().position(|other| *other == name);
                 place.into_iter().for_each(|place| self.forget(place));

@@ -1,7 +1,9 @@
 //! What a service is: a core with a hook for everything that can happen, and what its hooks may do.
 
+use std::sync::Arc;
 use std::time::Duration;
 
+use muster_model::command::CommandOutcome;
 use muster_model::event::{EventKind, Severity};
 use muster_model::header::{Revision, StageTime};
 use muster_model::history::{Entry, Page, Query, Record, RecordingReport, Retention};
@@ -18,6 +20,10 @@ use crate::gets::Get;
 use crate::io::{Command, Publication};
 use crate::stopwatch::Stopwatch;
 use crate::wiring::{Delivery, Replication, ServedKey, Subscription, Wiring};
+
+/// How many renewals or settings of leaders wait, as all leaders of a service publish on the same key: after a partition, or
+/// when several begin at once, each has to learn of the others.
+const LEADERS_AT_ONCE: usize = 8;
 
 /// What a core holds in memory, counted. Settings and `model::limits` bound every count.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -69,8 +75,8 @@ pub trait Core: Send + Sized + 'static {
     type Done: Send + 'static;
     /// Its name.
     const SERVICE: ServiceName;
-    /// Whether it keeps anything over a restart itself, by [`Context::keep`].
-    const KEEPS: bool = false;
+    /// If it keeps anything over a restart itself, by [`Context::keep`]: what happens without it, in a few words for the log.
+    const WITHOUT_KEPT: Option<&'static str> = None;
     /// How many instances publish.
     const REPLICATION: Replication = Replication::OneLeads;
 
@@ -222,8 +228,8 @@ impl Wiring {
         let mut served = vec![Key::Settings(service), Key::Status(service), Key::Schema];
         if C::REPLICATION == Replication::OneLeads {
             for key in [Key::Lease(service), Key::Settings(service)] {
-                let pattern = Pattern::One(key);
-                wiring.subscriptions.push(Subscription { pattern, delivery: Delivery::Latest });
+                let (pattern, delivery) = (Pattern::One(key), Delivery::Queue(LEADERS_AT_ONCE));
+                wiring.subscriptions.push(Subscription { pattern, delivery });
             }
             let pattern = Pattern::Commands(service);
             let delivery = Delivery::Latest;
@@ -338,6 +344,19 @@ impl<C: Core> Context<'_, C> {
         self.view().replica_state()
     }
 
+    /// The commands that were carried out after a revision, by this instance or an earlier leader, the oldest first.
+    #[must_use]
+    pub fn carried_out_after(&self, revision: Revision) -> Vec<Arc<CommandOutcome>> {
+        let outcomes = self.0.operator_commands.outcomes();
+        let after = |outcome: &&Arc<CommandOutcome>| {
+            outcome.refused.is_none() && outcome.header.revision > revision
+        };
+        let mut after: Vec<_> = outcomes.filter(after).cloned().collect();
+        // Several leaders may have said them, each in its own order.
+        after.sort_by_key(|outcome| outcome.header.revision);
+        after
+    }
+
     /// Publishes a message, if this instance leads.
     pub fn publish(&mut self, message: Message) {
         self.0.publish_as_leader(message);
@@ -362,6 +381,12 @@ impl<C: Core> Context<'_, C> {
     /// Publishes an event of the service, if this instance leads.
     pub fn publish_event(&mut self, severity: Severity, kind: EventKind) {
         self.0.publish_event(severity, kind);
+    }
+
+    /// The revision of the last output; before the first one of a term, the beginning of the term.
+    #[must_use]
+    pub fn revision(&self) -> Revision {
+        self.0.replica.revision()
     }
 
     /// The revision of the next output.

@@ -96,9 +96,25 @@ struct Waiting {
     size: usize,
 }
 
+/// How much may wait.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct InboxLimits {
+    /// Most items.
+    pub items: usize,
+    /// Most bytes, as they came.
+    pub bytes: usize,
+}
+
+impl Default for InboxLimits {
+    fn default() -> Self {
+        Self { items: MAX_ITEMS, bytes: MAX_BYTES }
+    }
+}
+
 /// The bounded way in.
 #[derive(Debug, Default)]
 pub struct Inbox {
+    limits: InboxLimits,
     next: u64,
     waiting: BTreeMap<u64, Waiting>,
     slots: HashMap<String, VecDeque<u64>>,
@@ -108,6 +124,12 @@ pub struct Inbox {
 }
 
 impl Inbox {
+    /// An empty inbox with other limits.
+    #[must_use]
+    pub fn bounded(limits: InboxLimits) -> Self {
+        Self { limits, ..Self::default() }
+    }
+
     /// Adds a packet.
     pub fn push(&mut self, parcel: Parcel) {
         let Parcel { slot, arrival, size, delivery } = parcel;
@@ -129,7 +151,7 @@ impl Inbox {
         self.bytes += size;
         self.slots.entry(slot.clone()).or_default().push_back(number);
         self.waiting.insert(number, Waiting { slot, arrival, size });
-        while self.waiting.len() > MAX_ITEMS || self.bytes > MAX_BYTES {
+        while self.waiting.len() > self.limits.items || self.bytes > self.limits.bytes {
             let Some(oldest) = self.waiting.keys().next().copied() else { break };
             self.remove(oldest);
             self.dropped += 1;
@@ -213,6 +235,19 @@ mod tests {
         }
         assert_eq!(inbox.counts().dropped, 10);
         assert_eq!((inbox.waiting.len(), inbox.slots.len()), (MAX_ITEMS, MAX_ITEMS));
+    }
+
+    #[test]
+    fn an_inbox_among_many_keeps_less() {
+        let mut inbox = Inbox::bounded(InboxLimits { items: 3, bytes: 10 });
+        for number in 0..5 {
+            inbox.push(parcel(&number.to_string(), number, 1, Delivery::Latest));
+        }
+        assert_eq!(drain(&mut inbox), [2, 3, 4]);
+        for number in 0..5 {
+            inbox.push(parcel(&number.to_string(), number, 5, Delivery::Latest));
+        }
+        assert_eq!(drain(&mut inbox), [3, 4]);
     }
 
     #[test]

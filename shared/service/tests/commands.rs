@@ -250,7 +250,7 @@ fn after_a_change(teams: u32) -> (Driven<ONE_LEADS>, Arc<CommandOutcome>) {
     (standby, outcome)
 }
 
-/// The leader is gone, and nobody answers.
+/// The leader is gone, and no instance answers.
 fn take_over(driven: &mut Driven<ONE_LEADS>) {
     driven.receive(token("a", true));
     driven.receive(token("a", false));
@@ -282,14 +282,19 @@ fn a_leader_that_is_back_says_what_it_had_confirmed() {
     set(&mut old, "kim/c1", &json!({"teams": 7})).unwrap();
     let said = outcomes(&old);
     old.receive(token("a", true));
-    // What nobody answers is asked for again for two seconds.
+    // What is not answered is asked for again for two seconds.
     for epoch in 5..11 {
         old.receive(renewal("a", said[0].header.revision.term + 1, epoch));
         old.answer_all(Vec::new());
         old.wait(0.5);
     }
     assert_eq!(old.host.replica_state(), ReplicaState::Standby);
-    assert_eq!(outcomes(&old), [Arc::clone(&said[0]), Arc::clone(&said[0])]);
+    // What it says once may be lost: it says it again with three renewals of the new leader.
+    for epoch in 11..20 {
+        old.receive(renewal("a", said[0].header.revision.term + 1, epoch));
+        old.wait(0.5);
+    }
+    assert_eq!(outcomes(&old), vec![Arc::clone(&said[0]); 5]);
 
     let (mut new, outcome) = after_a_change(7);
     take_over(&mut new);
@@ -311,4 +316,67 @@ fn a_leader_that_is_back_says_what_it_had_confirmed() {
     take_over(&mut new);
     new.receive(Message::Outcome(outcome));
     assert_eq!(new.teams(), 6);
+}
+
+#[test]
+fn an_outcome_from_before_the_settings_on_the_disk_changes_nothing_after_a_restart_of_everything() {
+    let mut leader = Driven::<ONE_LEADS>::leading();
+    set(&mut leader, "kim/c1", &json!({"teams": 7})).unwrap();
+    set(&mut leader, "kim/c2", &json!({"teams": 6})).unwrap();
+    let said = outcomes(&leader);
+    let Revision { term, epoch } = said[1].header.revision;
+    // A standby that was cut off missed the first command, and has the settings of after the second.
+    let answers = vec![renewal("a", term, epoch), settings(term, epoch, 6)];
+    let mut standby = Driven::<ONE_LEADS>::answered(answers);
+    standby.receive(Message::Outcome(Arc::clone(&said[1])));
+    let stored = standby.stored.clone();
+    assert_eq!(stored.commands.len(), 1);
+    let restarted = |answers: Vec<Message>| Driven::<ONE_LEADS>::restarted(stored.clone(), answers);
+    // Another instance gives it the outcome of the first before it leads, or afterwards.
+    let new = restarted(vec![Message::Outcome(Arc::clone(&said[0]))]);
+    assert_eq!((new.host.replica_state(), new.teams()), (ReplicaState::Leading, 6));
+    let mut new = restarted(Vec::new());
+    new.receive(Message::Outcome(Arc::clone(&said[0])));
+    assert_eq!((new.host.replica_state(), new.teams()), (ReplicaState::Leading, 6));
+}
+
+/// The leader was killed, and another one, which had been cut off and never received its term, was the only one for a while.
+#[test]
+fn a_change_that_a_leader_of_a_lower_term_has_confirmed_holds_after_a_restart() {
+    let mut cut_off = Driven::<ONE_LEADS>::leading();
+    set(&mut cut_off, "kim/c1", &json!({"teams": 7})).unwrap();
+    let confirmed = outcomes(&cut_off)[0].clone();
+    let killed = Stored { term: confirmed.header.revision.term + 1, ..Stored::default() };
+    let answers = vec![Message::Outcome(Arc::clone(&confirmed))];
+    let new = Driven::<ONE_LEADS>::restarted(killed.clone(), answers);
+    assert_eq!((new.host.replica_state(), new.teams()), (ReplicaState::Leading, 7));
+    // What a leader announces counts more than what is on the disk.
+    let term = killed.term + 1;
+    let answers = vec![renewal("a", term, 1), settings(term, 1, 5)];
+    let mut standby = Driven::<ONE_LEADS>::restarted(killed, answers);
+    standby.receive(Message::Outcome(confirmed));
+    take_over(&mut standby);
+    assert_eq!(standby.teams(), 5);
+}
+
+/// Two led for a while, and an operator's command reached both. The clock of one was wrong, so that it refused the command.
+#[test]
+fn what_one_leader_has_carried_out_counts_where_another_one_has_refused_it() {
+    let mut former = Driven::<ONE_LEADS>::leading();
+    set(&mut former, "kim/c1", &json!({"teams": 7})).unwrap();
+    let confirmed = outcomes(&former)[0].clone();
+    let Revision { term, epoch } = confirmed.header.revision;
+    let answers = vec![renewal("a", term, epoch), settings(term, epoch, 5)];
+    let mut leader = Driven::<ONE_LEADS>::answered(answers);
+    take_over(&mut leader);
+    let now = leader.now.as_seconds();
+    let content =
+        json!({"sent": now - 60.0, "expires": now + 1.0, "action": {"set": {"teams": 7}}});
+    command(&mut leader, "kim/c1", &content).unwrap_err();
+    let refused = outcomes(&leader)[0].clone();
+    assert_eq!(leader.teams(), 5);
+    leader.receive(Message::Outcome(confirmed));
+    assert_eq!(leader.teams(), 7);
+    leader.receive(Message::Outcome(refused));
+    assert!(command(&mut leader, "kim/c1", &Value::Null).unwrap()["refused"].is_null());
 }

@@ -334,6 +334,9 @@ fn where_every_instance_works_for_itself_it_leads_at_once_without_an_election() 
 #[test]
 fn where_one_instance_leads_the_host_adds_the_keys_of_the_election() {
     let wiring = Wiring::of::<Small<CHANGED>>();
+    // The renewals of two leaders have one key: that of the one must not take the place of that of the other.
+    let lease_waits = wiring.subscriptions[0].delivery;
+    assert!(matches!(lease_waits, Delivery::Queue(room) if room > 1), "{lease_waits:?}");
     let subscribed: Vec<_> = wiring.subscriptions.into_iter().map(|one| one.pattern).collect();
     let [lease, settings] = [Key::Lease(SERVICE), Key::Settings(SERVICE)].map(Pattern::One);
     assert_eq!(subscribed, [lease, settings, Pattern::Commands(SERVICE)]);

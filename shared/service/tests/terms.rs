@@ -82,6 +82,27 @@ fn a_term_begins_at_the_seconds_of_the_clock_or_above_what_is_known() {
     assert_eq!(begun(at(9_000_000_000), 0, vec![]), 1);
 }
 
+/// The reader that knew the term of the leader before may have restarted when another one that begins asks again.
+#[test]
+fn a_term_that_a_reader_knew_is_not_forgotten_when_the_bus_is_asked_again() {
+    let mut bench: Bench<Small<ONE_LEADS>> = Bench::new(Start {
+        fleet: small::space().fleet().clone(),
+        instance: small::instance("b"),
+        now: UNSET,
+        settings: ClustererSettings::default(),
+        stored: Stored { term: 5, ..Stored::default() },
+    });
+    bench.input(Input::Started { linked: true });
+    bench.receive(token("c", true));
+    bench.now = UNSET.after(Duration::from_secs(2));
+    bench.answer_all(vec![seen(9)]);
+    assert_eq!(bench.status().standing, ReplicaState::Starting, "it asks again");
+    bench.answer_all(Vec::new());
+    bench.wait(3.0);
+    bench.answer_all(Vec::new());
+    assert_eq!((bench.status().standing, term(&bench)), (ReplicaState::Leading, 10));
+}
+
 #[test]
 fn a_term_that_no_clock_allows_is_refused_and_counted() {
     for now in [at(RIGHT_S), UNSET] {

@@ -1,5 +1,7 @@
 //! The payload of a get that changes a wish: the wish as JSON, or `null` to withdraw it.
 
+use muster_model::command::{Action, CommandOutcome};
+use muster_model::id::{OperatorId, WishId};
 use muster_model::settings::{SettingsError, from_value};
 use muster_model::wish::Wish;
 use serde_json::Value;
@@ -33,6 +35,21 @@ pub fn decode(payload: &[u8]) -> Result<WishChange, SettingsError> {
         _ => Err(refused(
             "must be an object such as {\"kind\": \"lock\", \"team\": \"t2\"}".to_owned(),
         )),
+    }
+}
+
+/// What a command that was carried out did to a wish: which one, by its operator and id, and how. Nothing if it was about
+/// something else, or is too long to be remembered whole.
+#[must_use]
+pub fn changed_by(outcome: &CommandOutcome) -> Option<(OperatorId, WishId, WishChange)> {
+    let operator = outcome.operator.clone();
+    match serde_json::from_str(&outcome.action).ok()? {
+        Action::Wish { id, wish } => {
+            let wish = from_value::<Wish>(Value::Object(wish)).ok()?.checked().ok()?;
+            Some((operator, id, WishChange::Put(wish)))
+        }
+        Action::Withdraw { id } => Some((operator, id, WishChange::Withdraw)),
+        Action::Set(_) | Action::Acknowledge { .. } => None,
     }
 }
 

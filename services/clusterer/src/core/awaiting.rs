@@ -22,6 +22,10 @@ const WHOLE_REUNION_TIME: Duration = Duration::from_millis(1500);
 /// After so many frames an `ingest` has run for longer than that, however fast it is: it knows its robots.
 const FRAMES_OF_REUNION: f64 = REUNION_TIME.as_secs_f64() * MAX_TICK_HZ;
 
+/// How long they are awaited where there is no robot at all: then they have left, or come later than any that only lost a
+/// link. Who comes within `TEAM_MEMORY_TIME` after that has its team again.
+const EMPTY_REUNION_TIME: Duration = Duration::from_secs(20);
+
 /// How long robots that return are awaited until something relates them to others: their next report, and the
 /// frame that holds it. Without that they would be told that they have no team, and a moment later that they
 /// have their old one.
@@ -32,6 +36,8 @@ const RELATION_TIME: Duration = Duration::from_secs(1);
 pub(super) struct Reunion {
     /// When the first of them was there.
     begun: Option<Tick>,
+    /// Since when no robot is there.
+    empty_since: Option<Tick>,
     /// Whether all of them are there, and related to others.
     is_whole: bool,
 }
@@ -39,6 +45,11 @@ pub(super) struct Reunion {
 impl Reunion {
     fn time(&self) -> Duration {
         if self.is_whole { WHOLE_REUNION_TIME } else { REUNION_TIME }
+    }
+
+    fn ends_at(&self) -> Option<Tick> {
+        let begun = self.begun.map(|begun| begun.after(self.time()));
+        begun.or_else(|| Some(self.empty_since?.after(EMPTY_REUNION_TIME)))
     }
 }
 
@@ -77,8 +88,14 @@ impl Clusterer {
         if newest.embedding.robots.is_empty() {
             // Those that were there have left again: the time counts from the next one on.
             reunion.begun = None;
-            return true;
+            let since = *reunion.empty_since.get_or_insert(now);
+            let are_awaited = now.since(since) < EMPTY_REUNION_TIME;
+            if !are_awaited {
+                self.reunion = None;
+            }
+            return are_awaited;
         }
+        reunion.empty_since = None;
         let begun = *reunion.begun.get_or_insert(now);
         reunion.is_whole = is_whole;
         let are_awaited = now.since(begun) < reunion.time();
@@ -112,8 +129,7 @@ impl Clusterer {
 
     /// When robots are awaited no longer.
     pub(super) fn awaits_until(&self) -> Option<Tick> {
-        let reunion = self.reunion.as_ref();
-        let reunion = reunion.and_then(|reunion| Some(reunion.begun?.after(reunion.time())));
+        let reunion = self.reunion.as_ref().and_then(Reunion::ends_at);
         let returning = self.returning_since.map(|since| since.after(RELATION_TIME));
         reunion.into_iter().chain(returning).min()
     }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use muster_model::content::Checked;
 use muster_model::event::{EventKind, Severity};
-use muster_model::header::Header;
+use muster_model::header::{Header, Revision};
 use muster_model::role::ReplicaState;
 use muster_model::settings::SettingsError;
 use muster_model::teams::Teams;
@@ -12,7 +12,7 @@ use muster_model::time::Tick;
 use muster_model::wish::{StandingWish, WishList, WishReport, WishState};
 use muster_service::Get;
 use muster_wire::json::Problem;
-use muster_wire::wish::{WishChange, decode};
+use muster_wire::wish::{WishChange, changed_by, decode};
 use muster_wire::{Key, Message, Request};
 
 use super::{Clusterer, Context};
@@ -72,6 +72,29 @@ impl Clusterer {
             }
             Err(Refusal { field, problem }) => {
                 context.reply_error(get, Problem::new(&field, &problem).to_json());
+            }
+        }
+    }
+
+    /// Does what an earlier leader has confirmed to operators since the list that this instance begins with: that leader
+    /// may have been lost before its next list had arrived, and the outcomes of the commands had.
+    pub(super) fn recover_wishes(&mut self, context: &mut Context<'_>) {
+        let known = self.keeping.wishes().map(|list| list.header.revision).unwrap_or_default();
+        for outcome in context.carried_out_after(known) {
+            let Some((operator, id, change)) = changed_by(&outcome) else { continue };
+            let name = (operator, id);
+            let is_done = match change {
+                // In the list already, with what has become of it.
+                WishChange::Put(wish)
+                    if self.wishes.get(&name).is_some_and(|one| one.wish == wish) =>
+                {
+                    false
+                }
+                WishChange::Put(wish) => self.wishes.put(name, wish).is_ok(),
+                WishChange::Withdraw => self.wishes.withdraw(&name).is_some(),
+            };
+            if is_done {
+                context.count("wishes_recovered");
             }
         }
     }
@@ -164,7 +187,7 @@ impl Clusterer {
     fn wish_header(&self, context: &Context<'_>) -> Header {
         let none = || Header {
             fleet: context.fleet().clone(),
-            revision: muster_model::header::Revision::default(),
+            revision: Revision::default(),
             oldest: None,
             newest: None,
             stages: vec![context.stage(context.now())],
@@ -178,14 +201,23 @@ impl Clusterer {
         context: &mut Context<'_>,
         changed: &[(WishName, WishState)],
     ) {
-        let had_any = self.keeping.wishes().is_some_and(|list| !list.wishes.is_empty());
-        if self.wishes.is_empty() && !had_any && changed.is_empty() {
+        // An empty list says that none counts: the last one was withdrawn while nothing could be published, or a standby has
+        // one on its disk that a leader put which has lost it. The first list of a term may be as old as the term.
+        let last = context.revision();
+        let is_said = |list: &Checked<WishList>| {
+            let Revision { term, epoch } = list.header.revision;
+            list.wishes.is_empty() && term == last.term && epoch == 0
+        };
+        let is_empty = self.wishes.is_empty() && changed.is_empty();
+        if is_empty && self.keeping.wishes().is_some_and(is_said) {
             return;
         }
+        let is_first = is_empty && last.epoch == 0;
+        let revision = if is_first { last } else { context.next_revision() };
         let now = context.now();
         let header = Header {
             fleet: context.fleet().clone(),
-            revision: context.next_revision(),
+            revision,
             oldest: None,
             newest: None,
             stages: vec![context.stage(now)],

@@ -221,3 +221,28 @@ fn who_returns_without_relations_is_not_told_that_it_has_no_team() {
     bench.wait(1.1);
     assert_eq!(short(&held(&mut bench)), "t1: a b | - x");
 }
+
+/// All robots are replaced by others, which come one camp after the other.
+#[test]
+fn no_seat_is_kept_for_teams_of_which_no_robot_met_those_that_are_there() {
+    let fixed = settings(TeamCount::Fixed(2));
+    let (mut bench, first) = divided(fixed, &camps(1, "a b c d m n o p", &TWO));
+    assert_eq!(short(&first), REST);
+    bench.wait(1.0);
+    bench.receive_embedding(&camps(2, "", &[]));
+    assert!(held(&mut bench).teams.is_empty());
+    bench.wait(1.0);
+    bench.receive_embedding(&camps(3, "w x", &[1.0]));
+    // Two robots of one camp are two teams, as two were asked for. With the other camp there, the evidence is for one.
+    for epoch in 4..80 {
+        bench.wait(0.1);
+        bench.receive_embedding(&camps(epoch, "w x y z q r s", &[0.6, 0.4]));
+    }
+    assert_eq!(held(&mut bench).teams.len(), 2, "{}", short(&held(&mut bench)));
+    // Those who left return: their teams are theirs, and no more than two were asked for.
+    for epoch in 80..160 {
+        bench.wait(0.1);
+        bench.receive_embedding(&camps(epoch, "a b c d m n o p w x y z q r s", &TWO));
+    }
+    assert_eq!(held(&mut bench).teams.len(), 2, "{}", short(&held(&mut bench)));
+}

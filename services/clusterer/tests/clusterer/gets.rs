@@ -83,7 +83,8 @@ fn every_get_has_exactly_one_answer() {
         other => panic!("{selector}: {other:?}"),
     };
     assert!(matches!(one(&mut bench, "teams"), Message::Teams { .. }));
-    assert!(matches!(one(&mut bench, "json/*"), Message::Teams { .. }));
+    assert!(matches!(one(&mut bench, "json/teams"), Message::Teams { .. }));
+    assert_eq!(bench.get("json/*", None).unwrap().len(), 2, "teams and wishes");
     assert!(matches!(one(&mut bench, "embedding"), Message::Embedding(_)));
     assert!(matches!(one(&mut bench, "service/clusterer/settings"), Message::Settings(..)));
     for (name, team) in [("a", Some("t1")), ("d", None)] {
@@ -96,7 +97,7 @@ fn every_get_has_exactly_one_answer() {
     assert_eq!(bench.get("robot/$*a/team", None).unwrap().len(), 1);
     assert!(bench.get("robot/absent/team", None).unwrap().is_empty());
     assert!(bench.get("roster", None).unwrap().is_empty());
-    assert_eq!(bench.get("*", None).unwrap().len(), 2);
+    assert_eq!(bench.get("*", None).unwrap().len(), 3, "teams, wishes and the embedding");
     let error = bench.get("service/clusterer/settings", Some("{\"teams\":0}")).unwrap_err();
     assert!(error.contains("teams"));
 }

@@ -21,6 +21,14 @@ fn restarted(settings: ClustererSettings, kept: &[u8]) -> Bench {
     bench
 }
 
+/// The next process with what another one had on its disk, and the division of that; no robot is there yet.
+fn restarted_without_robots() -> (Bench, Checked<Teams>) {
+    let (bench, last) = divided(settings(), &embedding(1, &ALL));
+    let mut next = restarted(settings(), &bench.kept.clone().unwrap());
+    next.receive_embedding(&later(2, &[]));
+    (next, last)
+}
+
 /// An embedding of the term after that in which the kept division was made.
 fn later(epoch: u64, groups: &[(&str, [f64; 2])]) -> Checked<Embedding> {
     again(&embedding(epoch, groups), 2, epoch)
@@ -65,10 +73,8 @@ fn ids_members_and_leaders_stand_though_robots_come_one_by_one() {
 
 #[test]
 fn who_is_not_back_in_time_keeps_its_seat() {
-    let (bench, last) = divided(settings(), &embedding(1, &ALL));
-    let mut next = restarted(settings(), &bench.kept.clone().unwrap());
-    next.receive_embedding(&later(2, &[]));
-    next.wait(60.0);
+    let (mut next, last) = restarted_without_robots();
+    next.wait(15.0);
     assert!(next.take().teams.is_empty(), "no robot was there yet");
     let there = later(3, &[("a b c", WEST), ("x", NORTH)]);
     next.receive_embedding(&there);
@@ -88,7 +94,7 @@ fn who_comes_and_leaves_again_is_awaited_from_the_next_one_on() {
     next.wait(1.0);
     next.receive_embedding(&later(3, &[]));
     // It sleeps, and is not woken again and again for what has passed.
-    next.wait(60.0);
+    next.wait(15.0);
     next.receive_embedding(&later(4, &[("x y z", NORTH)]));
     next.wait(2.4);
     assert!(next.take().teams.is_empty());
@@ -131,6 +137,21 @@ fn the_seat_of_a_team_that_was_absent_is_kept_for_a_minute() {
     next.wait(1.0);
     let teams = next.take().teams.pop().unwrap().0;
     assert_eq!(teams.teams.len(), 3, "{}", short(&teams));
+}
+
+/// Robots that are switched on long after the services are no fleet that was cut off.
+#[test]
+fn a_fleet_of_which_no_robot_is_there_is_awaited_for_a_while_only() {
+    let (mut next, last) = restarted_without_robots();
+    next.wait(19.5);
+    assert!(next.take().teams.is_empty(), "they may come yet");
+    next.wait(1.0);
+    assert!(next.take().division().teams.is_empty());
+    // Who comes within a minute has its team.
+    next.wait(50.0);
+    next.receive_embedding(&later(3, &ALL));
+    next.wait(1.0);
+    assert_eq!(short(&next.take().teams.pop().unwrap().0), short(&last));
 }
 
 /// Of two instances the one with the older file takes over: what the other one answers is from a disk as well.
@@ -295,4 +316,22 @@ fn a_damaged_file_is_told_and_not_used() {
     assert!(told.unwrap().contains("checksum"));
     next.receive_embedding(&later(1, &ALL));
     assert_eq!(short(&next.division()), "t1: a b c | t2: m n o | t3: x y z");
+}
+
+/// Robots are in the roster before they have said what they can do.
+#[test]
+fn a_confirmed_need_holds_for_an_instance_that_knows_no_skills_yet() {
+    let (mut leader, _) = divided(settings(), &embedding(1, &ALL));
+    leader.receive_roster(roster(2, "a:medic b c m:medic n o x:medic y z"));
+    let needs = r#"{"needs": [{"skill": "medic", "per_team": {"min": 1}}]}"#;
+    leader.get("service/clusterer/settings", Some(needs)).unwrap();
+    let outcomes = leader.get("command/clusterer/*/*", None).unwrap();
+    assert_eq!(outcomes.len(), 1, "{outcomes:?}");
+    let mut next = Bench::new(settings());
+    next.receive_roster(roster(2, "a b c m n o x y z"));
+    next.receive_embedding(&embedding(1, &ALL));
+    next.start(outcomes);
+    let answer = next.get("service/clusterer/settings", None).unwrap();
+    let [Message::Settings(announced)] = &answer[..] else { panic!("{answer:?}") };
+    assert!(announced.settings.contains("medic"), "{}", announced.settings);
 }

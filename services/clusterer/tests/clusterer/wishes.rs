@@ -338,6 +338,60 @@ fn a_standby_knows_the_wishes_and_takes_them_over() {
     assert_eq!(short(&next.take().teams.last().unwrap().0), "t1: b c | t2: a x y z");
 }
 
+/// The leader was lost after it had confirmed a wish, and its list was never received; or it had withdrawn one.
+#[test]
+fn a_wish_that_was_confirmed_by_a_leader_whose_list_was_lost_counts() {
+    let (mut leader, _) = divided(fixed(), &six(1));
+    let list = |leader: &mut Bench| leader.get("wishes", None).unwrap()[0].clone();
+    let none = list(&mut leader);
+    put(&mut leader, "alice/p", &pin(&["a"], "t2")).unwrap();
+    let with_wish = list(&mut leader);
+    let outcomes = |leader: &mut Bench| leader.get("command/clusterer/*/*", None).unwrap();
+    let put_it = outcomes(&mut leader);
+    let division = mirrored(&leader.take().teams.last().unwrap().0);
+    let next = |list: &Message, outcomes: Vec<Message>| {
+        let embedding = Message::Embedding(six(1));
+        let found = [vec![division.clone(), list.clone(), embedding], outcomes].concat();
+        let mut next = Bench::restored(fixed(), found);
+        (states(&mut next), next.counter("wishes_recovered"))
+    };
+    let active = vec!["alice/p Active".to_owned()];
+    assert_eq!(next(&none, put_it.clone()), (active.clone(), 1));
+    assert_eq!(next(&with_wish, put_it), (active, 0), "the list has it");
+    put(&mut leader, "alice/p", &Value::Null).unwrap();
+    assert_eq!(next(&with_wish, outcomes(&mut leader)), (vec![], 1));
+    let without_wish = list(&mut leader);
+    assert_eq!(next(&without_wish, outcomes(&mut leader)), (vec![], 0), "the list has it");
+}
+
+/// A standby may have a wish on its disk that a leader put which has lost it.
+#[test]
+fn a_leader_without_wishes_says_so_when_it_begins() {
+    let (mut bench, _) = divided(fixed(), &six(1));
+    let list = bench.get("wishes", None).unwrap();
+    assert!(matches!(&list[..], [Message::Wishes(list)] if list.wishes.is_empty()), "{list:?}");
+}
+
+/// A leader that is a suspect answers still, and publishes nothing.
+#[test]
+fn the_last_wish_that_is_withdrawn_without_a_link_is_gone_for_all_when_the_link_is_back() {
+    let (mut bench, _) = divided(fixed(), &six(1));
+    put(&mut bench, "alice/p", &pin(&["a"], "t2")).unwrap();
+    bench.input(Input::LinkLost);
+    bench.published.clear();
+    put(&mut bench, "alice/p", &Value::Null).unwrap();
+    let lists = |bench: &Bench| -> Vec<usize> {
+        let wishes = bench.published.iter().filter_map(|message| match message {
+            Message::Wishes(list) => Some(list.wishes.len()),
+            _ => None,
+        });
+        wishes.collect()
+    };
+    assert!(lists(&bench).is_empty());
+    bench.input(Input::LinkRestored);
+    assert_eq!(lists(&bench).first(), Some(&0));
+}
+
 /// A wish of a property test: its kind, up to three robots and a team.
 fn drawn() -> impl Strategy<Value = Value> {
     let robots = prop::collection::btree_set(0_u8..10, 2..4);

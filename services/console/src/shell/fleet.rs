@@ -92,7 +92,7 @@ pub(super) async fn follow(
     client.close().await;
 }
 
-/// Answers what was ordered meanwhile, and waits. False if nobody is there any more.
+/// Answers what was ordered meanwhile, and waits. False if the loop of the console has ended.
 async fn waits_to_try_again(orders: &mut mpsc::Receiver<Order>, happenings: &Happenings) -> bool {
     while let Ok(order) = orders.try_recv() {
         unlinked(order, happenings).await;

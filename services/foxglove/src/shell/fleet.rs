@@ -87,9 +87,7 @@ async fn subscribe(
     inputs: &Inputs,
     following: &mut JoinSet<()>,
 ) -> Result<(), Error> {
-    following.spawn(pass_on(client.rosters().await?, inputs.clone(), Input::Roster));
-    following.spawn(pass_on(client.teams().await?, inputs.clone(), Input::Teams));
-    following.spawn(pass_on(client.audits().await?, inputs.clone(), Input::Audit));
+    // Events come first: they come once, and all else comes again.
     let (mut events, to) = (client.events().await?, inputs.clone());
     following.spawn(async move {
         while let Ok(event) = events.next().await {
@@ -98,6 +96,9 @@ async fn subscribe(
             }
         }
     });
+    following.spawn(pass_on(client.rosters().await?, inputs.clone(), Input::Roster));
+    following.spawn(pass_on(client.teams().await?, inputs.clone(), Input::Teams));
+    following.spawn(pass_on(client.audits().await?, inputs.clone(), Input::Audit));
     let (mut link, to) = (client.link(), inputs.clone());
     following.spawn(async move {
         loop {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use muster_model::bridge::TopicFault;
 use muster_model::id::RobotId;
-use muster_model::observation::{CheckedReport, Report};
+use muster_model::observation::{CheckedReport, Provenance, Report};
 use muster_model::time::Tick;
 use muster_ros::key::parse_dds_key;
 use muster_ros::{Attachment, Dialect, Gid, TopicKey, TypeHash, Value, cdr};
@@ -63,6 +63,9 @@ struct Topic {
     authors: Authors,
     /// The key in its parts; none with a bridge of DDS.
     key: Option<TopicKey>,
+    /// What holds until something else is said: links, or a superior. It may have been said once, and is put again for
+    /// services that lost it. With when it was last put.
+    holds: Option<(Report, Tick)>,
 }
 
 /// Most publishers of one topic that are remembered as replaced: of more, two programs alternate in any case.
@@ -75,8 +78,8 @@ const MAX_LATE: u32 = 10;
 const KEPT_EVERY: Duration = Duration::from_secs(5);
 
 /// The publishers of a topic of one robot. One counts at a time: the last that appeared, since a robot that starts again has
-/// a publisher of another name. One that was replaced and goes on alternates with the other, and is refused while that one is
-/// heard, as `ingest` would.
+/// a publisher of another name. One that was replaced and goes on alternates with the other, and is refused while
+/// messages of that one come, as `ingest` would.
 #[derive(Debug, Default)]
 struct Authors {
     current: Option<Author>,
@@ -177,6 +180,42 @@ impl Intake {
         }
     }
 
+    /// The number of a further report that has none of its publisher. It grows over all robots and kinds of reports.
+    pub(super) fn number(&mut self) -> u64 {
+        self.taken += 1;
+        self.taken
+    }
+
+    /// What robots have said that holds until they say something else, if it was last put before `every`, of those that have
+    /// brought a pose within a time. Once said, it may be lost on its way to the fleet, or by services that all start again.
+    pub(super) fn repeat(
+        &mut self,
+        now: Tick,
+        every: Duration,
+        within: Duration,
+    ) -> Vec<(RobotId, Report)> {
+        let Self { setup, boot, topics, robots, taken, .. } = self;
+        let mut reports = Vec::new();
+        for topic in topics.values_mut() {
+            let (Some(robot), Some((report, put))) = (&topic.robot, &mut topic.holds) else {
+                continue;
+            };
+            if now.since(*put) < every {
+                continue;
+            }
+            let stream = setup.sources.get(topic.source).and_then(|one| Stream::of(&one.content));
+            let is_read = |stream| robots.source(robot, stream) == Some(topic.source);
+            if stream.is_some_and(is_read) && robots.has_posed(now, robot, within) {
+                *put = now;
+                *taken += 1;
+                let (boot, seq) = (Some(boot.clone()), Some(*taken));
+                let provenance = Provenance { stamp: None, boot, seq };
+                reports.push((robot.clone(), report.clone().with_provenance(provenance)));
+            }
+        }
+        reports
+    }
+
     /// The topics that are read since this was last asked, and those that are no longer.
     pub(super) fn take_readings(&mut self) -> Vec<Reading> {
         std::mem::take(&mut self.readings)
@@ -184,6 +223,16 @@ impl Intake {
 
     pub(super) fn robots(&self) -> &Robots {
         &self.robots
+    }
+
+    /// How many topics are known.
+    pub(super) fn topics(&self) -> usize {
+        self.topics.len()
+    }
+
+    /// How many frames have a transform, in all trees.
+    pub(super) fn frames(&self) -> usize {
+        self.frames.values().map(Frames::len).sum()
     }
 
     /// A sample of a source arrived. Transforms are taken at once, all else waits for [`Intake::take`].
@@ -289,6 +338,7 @@ impl Intake {
             waiting: None,
             authors,
             key: parsed,
+            holds: None,
         })
     }
 
@@ -311,10 +361,12 @@ impl Intake {
                 continue;
             }
             self.taken += 1;
+            // What is put again needs a number that grows, which that of its message does not.
+            let numbered = waiting.attachment.filter(|_| stream == Stream::Pose);
             let stamped = Stamped {
                 now,
-                boot: waiting.attachment.map_or_else(|| self.boot.clone(), |a| a.gid.to_string()),
-                seq: waiting.attachment.map_or(self.taken, |a| a.sequence.unsigned_abs()),
+                boot: numbered.map_or_else(|| self.boot.clone(), |a| a.gid.to_string()),
+                seq: numbered.map_or(self.taken, |a| a.sequence.unsigned_abs()),
             };
             let tree = if self.setup.prefix.is_some() { "" } else { topic.name.as_str() };
             let frames = self.frames.get(&(topic.domain, tree.to_owned()));
@@ -326,6 +378,9 @@ impl Intake {
                 });
             match report {
                 Ok(report) => {
+                    if stream != Stream::Pose {
+                        topic.holds = Some((report.1.clone(), now));
+                    }
                     self.robots.reported(now, robot, stream, topic.source);
                     reports.push(report);
                 }

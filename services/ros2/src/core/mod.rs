@@ -31,8 +31,9 @@ use self::refusals::Refusals;
 pub use self::robots::Robots;
 use crate::config::Setup;
 
-/// How often superiors that never change are put, so that a service that lost them has them again.
-const RANKS_EVERY: Duration = Duration::from_secs(10);
+/// How often superiors that never change are put, and what robots have said once and holds, so that services that lost it have it
+/// again. An `ingest` that starts waits for about as long until it leads: what comes later would be taken for new orders.
+const REPEAT_EVERY: Duration = Duration::from_secs(2);
 
 /// How old the last report of a robot may be whose superior is put: what is put makes the robot present, which transforms
 /// and refused poses do not.
@@ -88,6 +89,19 @@ pub struct Counts {
     pub refused: u64,
 }
 
+/// What is held in memory, in numbers.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct MemoryUse {
+    /// Robots with a topic that has data.
+    pub robots: usize,
+    /// Topics of robots.
+    pub topics: usize,
+    /// Frames with a transform.
+    pub frames: usize,
+    /// Topics with a reason that applies now.
+    pub refusals: usize,
+}
+
 /// The bridge between ROS and a fleet.
 #[derive(Debug)]
 pub struct Bridge {
@@ -99,8 +113,6 @@ pub struct Bridge {
     phase: Phase,
     /// Names this run, also in reports that have no publisher's number.
     instance: InstanceId,
-    /// How many ranks have been put.
-    ranks_put: u64,
     ranks_due: Tick,
     counts: Counts,
 }
@@ -116,7 +128,6 @@ impl Bridge {
             outgoing: Outgoing::default(),
             phase: Phase::default(),
             instance: instance.clone(),
-            ranks_put: 0,
             ranks_due: Tick::default(),
             counts: Counts::default(),
             setup,
@@ -182,6 +193,17 @@ impl Bridge {
         }
     }
 
+    /// What is held in memory.
+    #[must_use]
+    pub fn memory_use(&self) -> MemoryUse {
+        MemoryUse {
+            robots: self.intake.robots().len(),
+            topics: self.intake.topics(),
+            frames: self.intake.frames(),
+            refusals: self.refusals.len(),
+        }
+    }
+
     /// Robots that ROS has brought lately.
     #[must_use]
     pub fn robots(&self) -> &Robots {
@@ -199,26 +221,27 @@ impl Bridge {
         for reading in self.intake.take_readings() {
             outputs.extend(self.publishers.show(reading));
         }
+        let mut again = self.intake.repeat(now, REPEAT_EVERY, REPORTED_WITHIN);
         if now >= self.ranks_due && !self.setup.ranks.is_empty() {
-            self.ranks_due = now.after(RANKS_EVERY);
-            outputs.extend(self.ranks(now));
+            self.ranks_due = now.after(REPEAT_EVERY);
+            again.extend(self.ranks(now));
         }
+        outputs.extend(again.into_iter().map(|(robot, report)| Output::Report(robot, report)));
         outputs.extend(self.publish(now, true));
         self.refusals.forget(now);
         outputs
     }
 
     /// Superiors that never change, of the robots that report and do not name theirs themselves.
-    fn ranks(&mut self, now: Tick) -> Vec<Output> {
-        self.ranks_put += 1;
-        let (boot, seq) = (Some(self.instance.to_string()), Some(self.ranks_put));
+    fn ranks(&mut self, now: Tick) -> Vec<(RobotId, Report)> {
+        let (boot, seq) = (Some(self.instance.to_string()), Some(self.intake.number()));
         let robots = self.intake.robots();
         let there = self.setup.ranks.iter().filter(|(robot, _)| {
             robots.has_reported(now, robot, REPORTED_WITHIN) && !robots.has_rank(robot)
         });
         let rank = |(robot, superior): (&RobotId, &Option<RobotId>)| {
             let rank = Rank { boot: boot.clone(), seq, ..Rank::under(superior.clone()) };
-            Output::Report(robot.clone(), Report::Rank(rank))
+            (robot.clone(), Report::Rank(rank))
         };
         there.map(rank).collect()
     }

@@ -1,6 +1,6 @@
 //! What ROS is shown of the fleet: when, and in which messages.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -68,6 +68,9 @@ pub(super) struct Outgoing {
     roster: Option<Arc<Roster>>,
     /// Whether the division has changed since it was shown.
     is_new: bool,
+    /// The robots that have another team since: they learn it before others learn of new companions, which in a large
+    /// fleet takes a while.
+    moved: BTreeSet<RobotId>,
     shown: Tick,
     /// The topics of single robots that are there.
     robot_topics: BTreeMap<RobotId, TopicName>,
@@ -77,6 +80,13 @@ impl Outgoing {
     pub(super) fn set_teams(&mut self, teams: Arc<Teams>, is_stale: bool) {
         let same = self.teams.as_ref().is_some_and(|last| last.same_division(&teams));
         self.is_new |= !same || self.is_stale != is_stale;
+        if !same {
+            let before: BTreeMap<_, _> =
+                self.teams.iter().flat_map(|last| last.assignments()).collect();
+            let new = teams.assignments().filter(|(robot, team)| before.get(robot) != Some(team));
+            let new: BTreeSet<RobotId> = new.map(|(robot, _)| robot.clone()).collect();
+            self.moved.extend(new);
+        }
         (self.teams, self.is_stale) = (Some(teams), is_stale);
     }
 
@@ -145,7 +155,10 @@ impl Outgoing {
         if self.is_stale {
             return outputs;
         }
-        for (robot, name) in robots.iter() {
+        let moved = std::mem::take(&mut self.moved);
+        let (first, others): (Vec<_>, Vec<_>) =
+            robots.iter().partition(|(robot, _)| moved.contains(*robot));
+        for (robot, name) in first.into_iter().chain(others) {
             let Some(team) = teams.robot_team(robot) else { continue };
             let Ok(topic) = TopicName::new(&template.with(name)) else { continue };
             let json = team.to_json(now).ok().and_then(|bytes| String::from_utf8(bytes).ok());

@@ -107,7 +107,7 @@ impl Robots {
         stream: Stream,
         source: usize,
     ) -> bool {
-        let reader = self.by_id.get(robot).and_then(|known| known.readers[stream as usize]);
+        let reader = self.reader(robot, stream);
         reader.is_none_or(|reader| source <= reader.source || now.since(reader.last) > SWITCH_AFTER)
     }
 
@@ -122,6 +122,21 @@ impl Robots {
     pub(super) fn has_reported(&self, now: Tick, robot: &RobotId, within: Duration) -> bool {
         let readers = self.by_id.get(robot).into_iter().flat_map(|known| &known.readers);
         readers.flatten().any(|reader| now.since(reader.last) <= within)
+    }
+
+    /// Whether a robot has brought a pose within a time.
+    pub(super) fn has_posed(&self, now: Tick, robot: &RobotId, within: Duration) -> bool {
+        let reader = self.reader(robot, Stream::Pose);
+        reader.is_some_and(|reader| now.since(reader.last) <= within)
+    }
+
+    /// The source that last brought a kind of report of a robot.
+    pub(super) fn source(&self, robot: &RobotId, stream: Stream) -> Option<usize> {
+        self.reader(robot, stream).map(|reader| reader.source)
+    }
+
+    fn reader(&self, robot: &RobotId, stream: Stream) -> Option<Reader> {
+        self.by_id.get(robot)?.readers[stream as usize]
     }
 
     /// Whether a robot has named its superior itself.

@@ -9,6 +9,7 @@
 
 mod limits;
 mod robots;
+mod shown;
 mod world;
 
 use muster_model::bridge::TopicFault;
@@ -247,7 +248,7 @@ fn px4_fixes_links_and_ranks_are_read() {
     let r1 = Some(RobotId::new("r1").unwrap());
     // That of the topic, and that of the file for the robot that is there; r9 is not.
     let expected = [
-        ("r3".to_owned(), r1.clone(), GID.to_string()),
+        ("r3".to_owned(), r1.clone(), "host-1".to_owned()),
         ("r2".to_owned(), r1, "host-1".to_owned()),
     ];
     assert_eq!(ranks, expected);
@@ -339,5 +340,5 @@ fn the_bridge_tells_what_it_refuses_each_with_its_fault() {
     assert_eq!((state.refused_topics, state.received, state.instance.as_str()), (4, 6, "host-1"));
     world.pass(60.0);
     world.tick();
-    assert_eq!(world.bridge.state().refused, [], "what is over is not told");
+    assert_eq!(world.bridge.state().refused, [], "what is over is not named");
 }

@@ -301,3 +301,51 @@ fn what_a_publisher_keeps_is_reported_once_however_often_it_is_asked_for() {
     assert_eq!(reports, 1);
     assert_eq!(world.bridge.robots().len(), 1, "its publisher is there");
 }
+
+#[test]
+fn what_a_robot_said_once_is_put_again_while_it_reports_where_it_is() {
+    let mut world = World::new(
+        r#"
+        [[rank]]
+        topic = "/{robot}/superior"
+        type = "std_msgs/String"
+        superior = "data"
+        "#,
+    );
+    let mut superior = world.message("std_msgs/String");
+    superior.set("data", "r1").unwrap();
+    world.put("r2/superior", &superior);
+    let pose = world.odometry("map", 1.0, 2.0);
+    let mut put = Vec::new();
+    for second in 0..30 {
+        // From here on its localisation says nothing: it is not made present by what it said long ago.
+        if second < 11 {
+            world.put("r2/odom", &pose);
+        }
+        let reports = idle(&mut world, 1).into_iter().map(|(_, report)| report);
+        put.extend(reports.filter(|report| matches!(report, Report::Rank(_))));
+    }
+    assert_eq!(
+        put.len(),
+        1 + 10,
+        "at once, and every two seconds until ten after its last pose: {put:?}"
+    );
+    let mut last = 0;
+    for report in put {
+        let Report::Rank(rank) = &report else { panic!("{report:?}") };
+        assert_eq!(rank.superior.as_ref().unwrap().as_str(), "r1");
+        // A service refuses what does not follow.
+        assert_eq!(rank.boot.as_deref(), Some("host-1"));
+        assert!(rank.seq > Some(last), "{report:?}");
+        last = rank.seq.unwrap();
+    }
+    superior.set("data", "r3").unwrap();
+    world.put("r2/superior", &superior);
+    world.put("r2/odom", &pose);
+    let reports = idle(&mut world, 4);
+    let names = reports.iter().filter_map(|(_, report)| match report {
+        Report::Rank(rank) => rank.superior.as_ref().map(ToString::to_string),
+        _ => None,
+    });
+    assert_eq!(names.collect::<Vec<_>>(), ["r3", "r3"], "what it said before is forgotten");
+}

@@ -19,6 +19,7 @@ use crate::facilities::{Facilities, ReplyKind};
 use crate::gets::{Get, encode_answer};
 use crate::replica::missed_changes::{MAX_MISSED, confirmed_patch};
 use crate::replica::settings::problem_json;
+use crate::wiring::Replication;
 
 /// The action, as JSON, of a command that could not be decoded or was not looked at.
 const UNKNOWN_ACTION: &str = "null";
@@ -85,27 +86,30 @@ impl<C: Core> Host<C> {
     /// so that a change that was confirmed is not lost with that leader.
     pub(super) fn learn_outcome(&mut self, outcome: Arc<CommandOutcome>) {
         let facilities = &mut self.facilities;
-        if !facilities.operator_commands.remember(Arc::clone(&outcome)) {
-            return;
+        if facilities.replica.election.has_term() {
+            return self.make_up_for(outcome);
         }
         // What was refused has changed nothing, and any number of such may come: it is not worth a write.
-        if outcome.refused.is_some() {
-            return;
-        }
-        if facilities.replica.election.has_term() {
-            self.make_up_for(&outcome);
-        } else {
+        if facilities.operator_commands.remember(Arc::clone(&outcome)) && outcome.refused.is_none()
+        {
             facilities.replica.settings.note_outcome(&outcome);
+            facilities.store();
         }
-        self.facilities.store();
     }
 
     /// A leader before this one is back, and says what it had confirmed: what of that this one does not know, and has not
-    /// changed since, holds from now on.
-    fn make_up_for(&mut self, outcome: &CommandOutcome) {
+    /// changed since, holds from now on. What has no effect here is not remembered: the same command may still arrive.
+    fn make_up_for(&mut self, outcome: Arc<CommandOutcome>) {
+        // Where every instance leads, each carries commands out itself.
+        if C::REPLICATION == Replication::EveryInstance {
+            return;
+        }
         let facilities = &mut self.facilities;
         let term = facilities.replica.revision().term;
-        let Some(mut patch) = facilities.replica.settings.missed_by(outcome, term) else { return };
+        let Some(mut patch) = facilities.replica.settings.missed_by(&outcome, term) else { return };
+        if !facilities.operator_commands.remember(outcome) {
+            return;
+        }
         let own = facilities.operator_commands.outcomes();
         let own = own.filter(|outcome| outcome.header.revision.term == term);
         for changed in own.filter_map(|outcome| confirmed_patch(outcome)) {
@@ -114,12 +118,16 @@ impl<C: Core> Host<C> {
         if !patch.is_empty() && self.change_confirmed(patch) {
             self.settings_changed();
         }
+        self.facilities.store();
     }
 
     /// Changes the settings by what another instance has confirmed. Returns whether that is possible.
+    ///
+    /// The core is not asked: the other instance has asked its own, and what may speak against a change passes. An instance
+    /// that begins may not know yet what robots can do, for example, so that no need could be filled.
     pub(super) fn change_confirmed(&mut self, patch: Map<String, Value>) -> bool {
-        let changed = self.checked_settings(Value::Object(patch).to_string().as_bytes());
         let replica = &mut self.facilities.replica;
+        let changed = replica.settings.changed(Value::Object(patch).to_string().as_bytes());
         match changed {
             Ok(settings) => {
                 replica.settings.change(settings);
@@ -134,7 +142,7 @@ impl<C: Core> Host<C> {
     }
 
     /// Says again what this instance has confirmed in its last term: whoever leads now may not have received it.
-    pub(super) fn repeat_confirmed_changes(&mut self) {
+    pub(super) fn say_confirmed_changes(&mut self) {
         let facilities = &mut self.facilities;
         let term = facilities.replica.revision().term;
         let is_own = |outcome: &&Arc<CommandOutcome>| {

@@ -155,8 +155,12 @@ impl<C: Core> Host<C> {
     pub(super) fn leader_renewed(&mut self) {
         let replica = &mut self.facilities.replica;
         let Some(leader) = replica.election.followed() else { return };
+        let is_due = replica.settings.are_confirmations_said_again();
         if let Some(announced) = replica.settings.renewed(leader) {
             self.adopt(&announced);
+        }
+        if is_due {
+            self.say_confirmed_changes();
         }
     }
 
@@ -180,6 +184,9 @@ impl<C: Core> Host<C> {
             return;
         }
         self.renewals_among(&answers);
+        let outputs = answers.iter().filter(|answer| C::is_output(answer));
+        let revisions = outputs.filter_map(|output| Some(output.header()?.revision));
+        let seen = self.facilities.replica.note_seen(revisions);
         let decision = self.facilities.replica.election.decide(self.facilities.now);
         if decision == Decision::Wait {
             return;
@@ -202,17 +209,16 @@ impl<C: Core> Host<C> {
             }
         }
         match decision {
-            Decision::Lead => self.lead(wanted, occasion),
+            Decision::Lead => self.lead(wanted, seen, occasion),
             Decision::StandBy | Decision::Wait => {
-                self.repeat_confirmed_changes();
+                self.facilities.replica.settings.repeat_confirmations();
+                self.say_confirmed_changes();
                 self.core.on_follow(&mut Context(&mut self.facilities), wanted);
             }
         }
     }
 
-    fn lead(&mut self, answers: Vec<Message>, occasion: Occasion) {
-        let outputs = answers.iter().filter(|answer| C::is_output(answer));
-        let seen = outputs.filter_map(|output| Some(output.header()?.revision)).max();
+    fn lead(&mut self, answers: Vec<Message>, seen: Option<Revision>, occasion: Occasion) {
         // A standby that takes over may never have led on this host.
         if occasion == Occasion::Start {
             self.facilities.notice_state_loss(seen);

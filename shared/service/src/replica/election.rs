@@ -261,8 +261,8 @@ impl Election {
     }
 
     /// Whether an instance that is about to lead asks once more: another one has appeared meanwhile. A leader that was cut off
-    /// for a moment has settings that nobody else may have received. Once for each link is enough, so that tokens that come
-    /// and go keep nobody from leading.
+    /// for a moment has settings that no other instance may have received. Once for each link is enough, so that tokens that come
+    /// and go keep no instance from leading.
     pub(crate) fn asks_again(&mut self) -> bool {
         let Some(candidate) = self.candidate_mut() else { return false };
         candidate.appeared && !std::mem::replace(&mut candidate.asked_again, true)

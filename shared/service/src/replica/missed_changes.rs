@@ -51,7 +51,10 @@ impl MissedChanges {
 
     /// The changes since settings of a revision, the oldest first; they are given once.
     pub(crate) fn take_since(&mut self, revision: Revision) -> Vec<Map<String, Value>> {
-        let all = std::mem::take(&mut self.0).into_iter();
+        let mut all = std::mem::take(&mut self.0);
+        // Several instances may have said them, each in its own order.
+        all.make_contiguous().sort_by_key(|(changed, _)| *changed);
+        let all = all.into_iter();
         all.filter(|(changed, _)| *changed >= revision).map(|(_, patch)| patch).collect()
     }
 }

@@ -39,6 +39,9 @@ pub(crate) struct Replica<S> {
     started: Tick,
     /// The term that was last begun on this host.
     stored_term: u64,
+    /// The newest output of the service that any reader had when this instance asked. Those who ask again may be answered
+    /// by fewer: a reader that has restarted since remembers nothing.
+    seen_by_readers: Option<Revision>,
     /// Why this instance has begun without the state that it kept before; taken once it is reported.
     pub(crate) state_loss: Option<String>,
     revision: Revision,
@@ -57,14 +60,22 @@ impl<S: Settings> Replica<S> {
             format!("the stored term {kept} is above {highest}, so the file is damaged")
         });
         let revision = Revision { term: stored_term, epoch: 0 };
+        let stored = start.stored.commands.iter().map(|outcome| outcome.header.revision);
+        let newest_outcome = stored.max().unwrap_or_default();
         Self {
             space: KeySpace::new(start.fleet),
             service,
             election: Election::new(start.instance, start.now, replication),
-            settings: ReplicaSettings::new(start.settings, &start.stored.patch, revision),
+            settings: ReplicaSettings::new(
+                start.settings,
+                &start.stored.patch,
+                revision,
+                newest_outcome,
+            ),
             refusals: Refusals::default(),
             started: start.now,
             stored_term,
+            seen_by_readers: None,
             state_loss: damage,
             revision,
             event_epoch: 0,
@@ -85,6 +96,15 @@ impl<S: Settings> Replica<S> {
     pub(crate) fn next_revision(&mut self) -> Revision {
         self.revision.epoch = self.revision.epoch.saturating_add(1);
         self.revision
+    }
+
+    /// Readers answer with outputs of the service. Returns the newest revision that any had, now or before.
+    pub(crate) fn note_seen(
+        &mut self,
+        outputs: impl Iterator<Item = Revision>,
+    ) -> Option<Revision> {
+        self.seen_by_readers = self.seen_by_readers.into_iter().chain(outputs).max();
+        self.seen_by_readers
     }
 
     /// Whether a term is believed: one above the bound was forged, or its sender's clock is far off.

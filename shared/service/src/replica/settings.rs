@@ -52,6 +52,8 @@ pub(crate) struct ReplicaSettings<S> {
     of_next_leader: Option<AnnouncedSettings>,
     /// How many lease renewals are still to be followed by an announcement.
     announcements_left: u8,
+    /// With how many renewals of its leader a standby says again what it had confirmed when it led.
+    confirmations_left: u8,
     /// Whether a leader was received that has no settings of the fleet either.
     are_lost: bool,
     /// What a standby asks its leader.
@@ -60,6 +62,13 @@ pub(crate) struct ReplicaSettings<S> {
     missed: MissedChanges,
     /// The revision of the settings with which this instance began its term.
     basis: Revision,
+    /// The newest outcome that was stored with the settings: what came of commands up to it is in them, though a standby
+    /// does not know after a restart of which revision they are.
+    stored_with: Revision,
+    /// Whether the settings are those from the disk still. Which leaders they had followed is not known then: a change that
+    /// is newer than all stored ones counts, even if a leader of a lower term has confirmed it, which was cut off and
+    /// was the only one afterwards.
+    are_from_disk: bool,
 }
 
 /// The questions of a standby for the settings of its leader.
@@ -89,9 +98,14 @@ pub(crate) enum Adoption {
 }
 
 impl<S: Settings> ReplicaSettings<S> {
-    /// The settings with the stored patch. Fields that do not fit are dropped: a service with an old
-    /// state starts all the same.
-    pub(crate) fn new(base: S, patch: &Map<String, Value>, revision: Revision) -> Self {
+    /// The settings with the stored patch, which was stored with outcomes up to `stored_with`. Fields that do not fit are
+    /// dropped: a service with an old state starts all the same.
+    pub(crate) fn new(
+        base: S,
+        patch: &Map<String, Value>,
+        revision: Revision,
+        stored_with: Revision,
+    ) -> Self {
         let (current, dropped) = restore(&base, patch);
         let patch = difference(&base, &current);
         Self {
@@ -104,10 +118,13 @@ impl<S: Settings> ReplicaSettings<S> {
             are_known: revision.term > 0,
             of_next_leader: None,
             announcements_left: 0,
+            confirmations_left: 0,
             are_lost: false,
             queries: Queries::default(),
             missed: MissedChanges::default(),
             basis: revision,
+            stored_with,
+            are_from_disk: true,
         }
     }
 
@@ -132,6 +149,7 @@ impl<S: Settings> ReplicaSettings<S> {
     /// An instance that stood down goes by announcements from its own last output on.
     pub(crate) fn stood_down(&mut self, revision: Revision) {
         self.adopted = revision;
+        self.are_from_disk = false;
         self.renewals_below = 0;
         self.of_next_leader = None;
         self.announcements_left = 0;
@@ -147,14 +165,20 @@ impl<S: Settings> ReplicaSettings<S> {
 
     /// A standby has received the outcome of a command.
     pub(crate) fn note_outcome(&mut self, outcome: &CommandOutcome) {
-        if outcome.header.revision >= self.adopted {
+        let revision = outcome.header.revision;
+        if revision >= self.known_since() && revision > self.stored_with {
             self.missed.note(outcome);
         }
     }
 
+    /// No change of a lower revision is missing in the settings.
+    fn known_since(&self) -> Revision {
+        if self.are_from_disk { self.stored_with } else { self.adopted }
+    }
+
     /// The changes that were confirmed after the settings that this instance has, the oldest first; they are given once.
     pub(crate) fn take_missed(&mut self) -> Vec<Map<String, Value>> {
-        self.missed.take_since(self.adopted)
+        self.missed.take_since(self.known_since())
     }
 
     /// What a leader before this one, of a lower term than `term`, has changed after the settings with which that began. None
@@ -165,7 +189,8 @@ impl<S: Settings> ReplicaSettings<S> {
         term: u64,
     ) -> Option<Map<String, Value>> {
         let revision = outcome.header.revision;
-        let is_missed = revision.term < term && revision >= self.basis;
+        let is_missed =
+            revision.term < term && revision >= self.basis && revision > self.stored_with;
         confirmed_patch(outcome).filter(|patch| is_missed && !has(&self.current, patch))
     }
 
@@ -236,6 +261,18 @@ impl<S: Settings> ReplicaSettings<S> {
         self.announcements_left = REPEATED_ANNOUNCEMENTS;
     }
 
+    /// What this instance had confirmed is said again with the next renewals of its leader: what it says once may be lost.
+    pub(crate) fn repeat_confirmations(&mut self) {
+        self.confirmations_left = REPEATED_ANNOUNCEMENTS;
+    }
+
+    /// Whether it is said again, now that the leader has renewed its lease.
+    pub(crate) fn are_confirmations_said_again(&mut self) -> bool {
+        let is_due = self.confirmations_left > 0;
+        self.confirmations_left = self.confirmations_left.saturating_sub(1);
+        is_due
+    }
+
     /// Whether the settings are announced again, now that the lease is renewed.
     pub(crate) fn are_announced_again(&mut self) -> bool {
         let is_due = self.announcements_left > 0;
@@ -278,6 +315,7 @@ impl<S: Settings> ReplicaSettings<S> {
         let before = self.patch.clone();
         self.accept(settings);
         self.adopted = revision;
+        self.are_from_disk = false;
         self.are_known = true;
         let current = &self.current;
         self.missed.adopted(revision, |patch| has(current, patch));

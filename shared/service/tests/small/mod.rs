@@ -346,7 +346,12 @@ impl<const KIND: u8> Driven<KIND> {
 
     /// One that has asked the bus, and whose last questions are answered now.
     pub(crate) fn answered(messages: Vec<Message>) -> Self {
-        let mut driven = Self::new();
+        Self::restarted(Stored::default(), messages)
+    }
+
+    /// The same with what it has on its disk.
+    pub(crate) fn restarted(stored: Stored, messages: Vec<Message>) -> Self {
+        let mut driven = Self::with_stored(stored);
         driven.now = START.before(Duration::from_secs(2));
         driven.input(Input::Started { linked: true });
         driven.now = START;
