@@ -201,7 +201,7 @@ impl Companions {
     }
 }
 
-/// A program beside the services, which is started again when it ends.
+/// A program next to the services, which is started again when it ends.
 #[derive(Debug)]
 struct Process {
     program: Program,

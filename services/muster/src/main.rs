@@ -17,6 +17,7 @@ mod deploy;
 mod describe;
 mod doctor;
 mod fleet;
+mod fleets;
 mod operator;
 mod past;
 mod probe;
@@ -37,7 +38,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 use muster_model::id::ServiceName;
 use muster_runtime::config::{Environment, Mode, ProcessArgs, ProcessConfig, process_environment};
 use muster_runtime::exit::{self, ExitError};
-use muster_runtime::service::{block_on, report};
+use muster_runtime::pool::MAX_BLOCKING_THREADS;
+use muster_runtime::service::{block_on, block_on_threads, report};
 use muster_solve as solve;
 
 /// Divides a fleet of robots into teams, live, from how the robots relate.
@@ -161,6 +163,12 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match command {
         Command::Demo(args) => {
             block_on(&config, async |config, stop| demo::run(args, config, stop).await)
+        }
+        Command::Up(args) if args.is_for_many() => {
+            let threads = MAX_BLOCKING_THREADS;
+            block_on_threads(&config, threads, async |config, stop| {
+                up::run_fleets(args, config, stop).await
+            })
         }
         Command::Up(args) => {
             block_on(&config, async |config, stop| up::run(args, config, stop).await)

@@ -1,4 +1,4 @@
-//! `muster up`: services in one process, each with a session of its own.
+//! `muster up`: services in one process, each with a session of its own; those of many fleets share one ([`fleets`]).
 
 use std::collections::BTreeMap;
 use std::io::Write as _;
@@ -13,15 +13,17 @@ use muster_ingest::Ingest;
 use muster_model::id::ServiceName;
 use muster_planner::Planner;
 use muster_runtime::bus::{Bus, BusConfig, ConnectTimeout};
-use muster_runtime::config::{DEFAULT_ENDPOINT, ProcessConfig};
+use muster_runtime::config::{DEFAULT_ENDPOINT, Origin, ProcessConfig};
 use muster_runtime::exit::{Exit, ExitError};
-use muster_runtime::observe::Observatory;
+use muster_runtime::observe::{FleetsObservatory, Observatory};
 use muster_runtime::recording::RecordTo;
 use muster_runtime::service;
 use muster_runtime::stop::Stop;
+use muster_wire::FleetPattern;
 use tokio::task::JoinSet;
 
 use crate::companions::{Companion, Companions};
+use crate::fleets;
 use crate::operator::OperatorArgs;
 
 /// Arguments of `muster up`.
@@ -57,9 +59,27 @@ pub(crate) struct UpArgs {
     /// Run these programs beside the services, several with commas; they are built on their own
     #[arg(long, value_name = "PROGRAM", value_delimiter = ',')]
     with: Vec<Companion>,
+    /// Serve these fleets, several with commas, in place of --fleet: names, or patterns with *, whose fleets are served once
+    /// they have robots. Runs ingest, embedder, clusterer and auditor if no service is named
+    #[arg(long, value_name = "NAME", value_delimiter = ',', conflicts_with_all = ["record", "console", "with"])]
+    fleets: Vec<FleetPattern>,
+    /// Serve so many fleets at most
+    #[arg(long, value_name = "COUNT", default_value_t = fleets::DEFAULT_MAX_FLEETS, requires = "fleets",
+          value_parser = at_most_fleets)]
+    max_fleets: usize,
+}
+
+fn at_most_fleets(text: &str) -> Result<usize, String> {
+    let count = text.parse().ok().filter(|count| (1..=fleets::MOST_FLEETS).contains(count));
+    count.ok_or_else(|| format!("must be 1 to {}", fleets::MOST_FLEETS))
 }
 
 impl UpArgs {
+    /// Whether several fleets are asked for.
+    pub(crate) fn is_for_many(&self) -> bool {
+        !self.fleets.is_empty()
+    }
+
     /// The port of the page, if it is wanted. One that no one asked for is left out where its port is taken.
     ///
     /// # Errors
@@ -149,6 +169,50 @@ pub(crate) async fn wait(mut tasks: JoinSet<anyhow::Result<()>>) -> anyhow::Resu
     Ok(())
 }
 
+/// Starts the router of this process, if one is asked for; the services connect to it.
+///
+/// # Errors
+/// If it cannot listen where it should.
+async fn start_router(args: &UpArgs, config: &mut ProcessConfig) -> anyhow::Result<Option<Bus>> {
+    if !args.router {
+        return Ok(None);
+    }
+    let listen = match config.listen.value.as_slice() {
+        [] => vec![DEFAULT_ENDPOINT.to_owned()],
+        listen => listen.to_vec(),
+    };
+    let has_ros = args.with.contains(&Companion::Ros2);
+    let bus = BusConfig { gossip: has_ros, ..BusConfig::from(&config.as_router(listen)) };
+    let bus = Bus::open(bus, ConnectTimeout::Never).await?;
+    let endpoints = bus.locators().await;
+    writeln!(std::io::stdout(), "router listens at {}", endpoints.join(", "))?;
+    *config = config.as_client(endpoints);
+    Ok(Some(bus))
+}
+
+/// Serves many fleets until it is time to stop.
+///
+/// # Errors
+/// If what is asked for does not fit together, or the bus does not open.
+pub(crate) async fn run_fleets(
+    args: &UpArgs,
+    mut config: ProcessConfig,
+    stop: Stop,
+) -> anyhow::Result<()> {
+    fleets::check(&args.fleets, args.max_fleets)?;
+    if config.fleet.origin == Origin::Flag {
+        let problem = "--fleet: name one fleet with it, or several with --fleets, and not both";
+        return Err(ExitError::usage(problem).into());
+    }
+    let observatory = FleetsObservatory::open(&config)?;
+    let router = start_router(args, &mut config).await?;
+    fleets::run(&args.fleets, args.max_fleets, &args.services, config, observatory, stop).await?;
+    if let Some(router) = router {
+        router.close().await;
+    }
+    Ok(())
+}
+
 /// Runs services until it is time to stop.
 ///
 /// # Errors
@@ -164,20 +228,7 @@ pub(crate) async fn run(
         if args.services.is_empty() { ServiceName::ALL.to_vec() } else { args.services.clone() };
     config.record = args.record.clone().map(|path| RecordTo { path, several: true });
     let observatory = Observatory::open(&config, &services)?;
-    let mut router = None;
-    if args.router {
-        let listen = match config.listen.value.as_slice() {
-            [] => vec![DEFAULT_ENDPOINT.to_owned()],
-            listen => listen.to_vec(),
-        };
-        let has_ros = args.with.contains(&Companion::Ros2);
-        let bus = BusConfig { gossip: has_ros, ..BusConfig::from(&config.as_router(listen)) };
-        let bus = Bus::open(bus, ConnectTimeout::Never).await?;
-        let endpoints = bus.locators().await;
-        writeln!(std::io::stdout(), "router listens at {}", endpoints.join(", "))?;
-        config = config.as_client(endpoints);
-        router = Some(bus);
-    }
+    let router = start_router(args, &mut config).await?;
     let page = args.page().await?;
     let serving = match page {
         Some(page) => {

@@ -14,6 +14,7 @@ use crate::config::BusConfig;
 use crate::error::OpenError;
 use crate::opening::{is_repeatable, link_watch, open_session};
 use crate::packet::packet;
+use crate::shared::Participant;
 use crate::zenoh_config::{connect_endpoints, zenoh_config};
 
 /// Most answers to one get, or tokens, that are kept.
@@ -24,7 +25,7 @@ pub(crate) const MAX_ANSWERS: usize = 16_384;
 pub(crate) const LEASE_PRIORITY: Priority = Priority::InteractiveHigh;
 
 /// What cannot be done on a session that is closed already.
-const LINKS_NOT_FOLLOWED: &str = "cannot follow the links of the session";
+pub(crate) const LINKS_NOT_FOLLOWED: &str = "cannot follow the links of the session";
 
 /// How long closing a session may take.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
@@ -53,6 +54,8 @@ pub struct Bus {
     link: watch::Receiver<bool>,
     /// What follows the links of a session that belongs to the caller; none where the session is ours.
     borrowed: Option<Arc<Mutex<Option<LinkListener>>>>,
+    /// Who this is on a bus that many fleets share; none on one of its own.
+    pub(crate) participant: Option<Participant>,
 }
 
 /// Follows the links of a session until it is let go.
@@ -91,6 +94,14 @@ pub enum Urgency {
     Normal,
     /// It may not: a living leader would lose its lease.
     LeaseRenewal,
+}
+
+/// The priority on the bus.
+pub(crate) fn priority_of(urgency: Urgency) -> Priority {
+    match urgency {
+        Urgency::LeaseRenewal => LEASE_PRIORITY,
+        Urgency::Normal => Priority::DEFAULT,
+    }
 }
 
 impl Bus {
@@ -140,7 +151,19 @@ impl Bus {
         let declared = listener.background().await;
         declared.map_err(|error| failed(anyhow::anyhow!("{LINKS_NOT_FOLLOWED}: {error}")))?;
         let space = KeySpace::new(config.fleet);
-        Ok(Self { session, tokens: Arc::default(), token_config, space, link, borrowed: None })
+        let tokens = Arc::default();
+        Ok(Self { session, tokens, token_config, space, link, borrowed: None, participant: None })
+    }
+
+    /// The bus of one participant of a shared one.
+    pub(crate) fn of_participant(
+        session: zenoh::Session,
+        space: KeySpace,
+        link: watch::Receiver<bool>,
+        participant: Participant,
+    ) -> Self {
+        let (tokens, participant) = (Arc::default(), Some(participant));
+        Self { session, tokens, token_config: None, space, link, borrowed: None, participant }
     }
 
     /// The keys of a fleet on a session that belongs to the caller and that [`Bus::close`] leaves open.
@@ -156,7 +179,8 @@ impl Bus {
             .map_err(|error| OpenError::Failed(format!("{LINKS_NOT_FOLLOWED}: {error}")))?;
         let borrowed = Some(Arc::new(Mutex::new(Some(listener))));
         let space = KeySpace::new(fleet);
-        Ok(Self { session, tokens: Arc::default(), token_config: None, space, link, borrowed })
+        let (tokens, token_config) = (Arc::default(), None);
+        Ok(Self { session, tokens, token_config, space, link, borrowed, participant: None })
     }
 
     /// The keys of the fleet.
@@ -184,21 +208,36 @@ impl Bus {
         self.put_packet(message.into_packet(&self.space), Urgency::Normal)
     }
 
-    /// Puts a packet on the bus. May wait for a busy link.
+    /// Hands a packet to those who read it in the same process, on a bus that many fleets share. It never waits. Elsewhere
+    /// it does nothing: [`Bus::put_packet`] reaches them all.
+    pub fn hand_over(&self, packet: &Packet) {
+        if let Some(participant) = &self.participant {
+            participant.routes.hand_over(participant.id, packet);
+        }
+    }
+
+    /// Whether lease renewals are to be put: on a bus that many fleets share, only where another process has a service of
+    /// the fleet.
+    #[must_use]
+    pub fn has_rivals(&self) -> bool {
+        self.participant.as_ref().is_none_or(Participant::has_rivals)
+    }
+
+    /// Puts a packet on the bus. May wait for a busy link. On a bus that many fleets share it reaches other processes;
+    /// [`Bus::hand_over`] reaches this one.
     ///
     /// # Errors
     /// If the session is closed.
     pub fn put_packet(&self, packet: Packet, urgency: Urgency) -> anyhow::Result<()> {
+        if let Some(participant) = &self.participant {
+            return participant.hub.put(&participant.routes, packet, urgency);
+        }
         let Packet { key, encoding, payload, attachment, .. } = packet;
-        let priority = match urgency {
-            Urgency::LeaseRenewal => LEASE_PRIORITY,
-            Urgency::Normal => Priority::DEFAULT,
-        };
         self.session
             .put(key.as_str(), payload.unwrap_or_default())
             .encoding(encoding.as_str())
             .attachment(attachment.map(Attachment::into_bytes))
-            .priority(priority)
+            .priority(priority_of(urgency))
             .wait()
             .map_err(|error| anyhow::anyhow!("cannot put to {key}: {error}"))
     }
@@ -208,7 +247,11 @@ impl Bus {
     /// # Errors
     /// If the bus refuses it.
     pub async fn declare_token(&self, key: &Key) -> anyhow::Result<Token> {
-        let token = self.session.liveliness().declare_token(self.space.format(key)).await;
+        let text = self.space.format(key);
+        if let Some(participant) = &self.participant {
+            participant.hub.owns_token(&text);
+        }
+        let token = self.session.liveliness().declare_token(text).await;
         token.map(Token).map_err(|error| anyhow::anyhow!("cannot declare {key}: {error}"))
     }
 
@@ -217,7 +260,10 @@ impl Bus {
     /// # Errors
     /// If the session is closed.
     pub async fn tokens(&self, pattern: &Pattern, within: Duration) -> anyhow::Result<Vec<Key>> {
-        let texts = self.token_texts(&self.space.pattern(pattern), within).await?;
+        let texts = match &self.participant {
+            Some(participant) => participant.tokens(pattern),
+            None => self.token_texts(&self.space.pattern(pattern), within).await?,
+        };
         let mut keys: Vec<_> =
             texts.iter().filter_map(|text| self.space.parse(text).ok()).collect();
         keys.sort_unstable();
@@ -275,6 +321,11 @@ impl Bus {
         pattern: &Pattern,
         receive: impl Fn(Packet) + Send + Sync + 'static,
     ) -> anyhow::Result<()> {
+        if let (Some(participant), false) =
+            (&self.participant, matches!(pattern, Pattern::Foreign(_)))
+        {
+            return participant.routes.subscribe(participant.id, pattern, receive);
+        }
         let text = self.space.pattern(pattern);
         let limit = pattern.payload_limit();
         self.session
@@ -321,6 +372,9 @@ impl Bus {
         pattern: &Pattern,
         receive: impl Fn(Packet) + Send + Sync + 'static,
     ) -> anyhow::Result<()> {
+        if let Some(participant) = &self.participant {
+            return participant.routes.subscribe_tokens(participant.id, pattern, receive);
+        }
         let text = self.space.pattern(pattern);
         let session = match (&self.token_config, pattern) {
             (Some(config), Pattern::RobotTokens) => {
@@ -349,22 +403,30 @@ impl Bus {
     }
 
     /// Closes the session, both if there are two; gives up waiting after a moment. The session of a
-    /// caller stays open, and its links are not followed any more.
+    /// caller stays open, and its links are not followed any more; so does one that others share.
     pub async fn close(&self) {
+        if let Some(participant) = &self.participant {
+            return participant.routes.leave(participant.id);
+        }
         if let Some(listener) = &self.borrowed {
             let listener = listener.lock().unwrap_or_else(PoisonError::into_inner).take();
             drop(listener);
             return;
         }
-        let sessions = [Some(self.session.clone()), self.tokens.get().cloned()];
-        let closing = tokio::task::spawn_blocking(move || {
-            // The tokens first: by then their loss means nothing.
-            let closed = sessions.into_iter().flatten().rev().map(|session| session.close().wait());
-            closed.collect::<zenoh::Result<()>>()
-        });
-        let closed = tokio::time::timeout(CLOSE_TIMEOUT, closing).await;
-        if !matches!(closed, Ok(Ok(Ok(())))) {
-            tracing::debug!("the session did not close in time");
-        }
+        // The tokens first: by then their loss means nothing.
+        let sessions = [self.tokens.get().cloned(), Some(self.session.clone())];
+        close_sessions(sessions.into_iter().flatten().collect()).await;
+    }
+}
+
+/// Closes sessions one after another; gives up waiting after a moment.
+pub(crate) async fn close_sessions(sessions: Vec<zenoh::Session>) {
+    let closing = tokio::task::spawn_blocking(move || {
+        let closed = sessions.into_iter().map(|session| session.close().wait());
+        closed.collect::<zenoh::Result<()>>()
+    });
+    let closed = tokio::time::timeout(CLOSE_TIMEOUT, closing).await;
+    if !matches!(closed, Ok(Ok(Ok(())))) {
+        tracing::debug!("the session did not close in time");
     }
 }

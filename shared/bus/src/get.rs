@@ -12,6 +12,7 @@ use zenoh::sample::Locality;
 
 use crate::bus::{Bus, LEASE_PRIORITY, MAX_ANSWERS};
 use crate::packet::packet;
+use crate::shared::Participant;
 
 /// Most bytes of answers to one get that are kept: a few of the largest messages.
 const MAX_ANSWER_BYTES: usize = 512 * 1024 * 1024;
@@ -71,6 +72,45 @@ impl Bus {
     /// # Errors
     /// If the session is closed.
     pub async fn get(&self, pattern: &Pattern, ask: Ask<'_>) -> anyhow::Result<Vec<Answer>> {
+        let (sender, mut receiver) = mpsc::channel(MAX_ANSWERS);
+        let due = tokio::time::Instant::now() + ask.within;
+        match &self.participant {
+            None => self.ask_bus(pattern, ask, sender).await?,
+            Some(participant) => {
+                let selector = self.space.pattern(pattern);
+                if participant.ask(&selector, ask, sender.clone()).await? {
+                    let _leave = participant.may_ask().await;
+                    self.ask_bus(pattern, ask, sender).await?;
+                }
+            }
+        }
+        let (mut answers, mut bytes) = (Vec::new(), 0);
+        loop {
+            let further = ask.further_within.filter(|_| !answers.is_empty());
+            let answer = match further {
+                // Zenoh ends a get in time; those that are asked in the process may not.
+                None if self.participant.is_none() => receiver.recv().await,
+                None => tokio::time::timeout_at(due, receiver.recv()).await.ok().flatten(),
+                Some(time) => tokio::time::timeout(time, receiver.recv()).await.ok().flatten(),
+            };
+            let Some(answer) = answer else { break };
+            bytes += answer.size();
+            if answers.len() >= MAX_ANSWERS || bytes > MAX_ANSWER_BYTES {
+                tracing::warn!("more answers came than are kept");
+                break;
+            }
+            answers.push(answer);
+        }
+        Ok(answers)
+    }
+
+    /// Puts a get on the bus; the answers come to a channel, which is let go of when all have answered.
+    async fn ask_bus(
+        &self,
+        pattern: &Pattern,
+        ask: Ask<'_>,
+        sender: mpsc::Sender<Answer>,
+    ) -> anyhow::Result<()> {
         let mut selector = self.space.pattern(pattern);
         if !ask.parameters.is_empty() {
             selector = format!("{selector}?{}", ask.parameters);
@@ -80,7 +120,7 @@ impl Bus {
             Target::Complete => QueryTarget::BestMatching,
         };
         let session = self.session.clone();
-        let (sender, mut receiver) = mpsc::channel(MAX_ANSWERS);
+        let mark = self.participant.as_ref().map(Participant::mark);
         let payload = ask.payload.map(<[u8]>::to_vec);
         let (within, limit) = (ask.within, pattern.payload_limit());
         let asks_for_leader = matches!(pattern, Pattern::One(Key::Lease(_)));
@@ -95,6 +135,9 @@ impl Bus {
                 .priority(priority)
                 .allowed_destination(Locality::Remote)
                 .timeout(within);
+            if let Some(mark) = mark {
+                get = get.attachment(mark);
+            }
             if let Some(payload) = payload {
                 get = get.payload(payload).encoding(muster_wire::message::JSON);
             }
@@ -107,23 +150,7 @@ impl Bus {
             });
             asked.wait().map_err(|error| anyhow::anyhow!("cannot ask for {selector}: {error}"))
         });
-        asking.await.context("asking failed")??;
-        let (mut answers, mut bytes) = (Vec::new(), 0);
-        loop {
-            let further = ask.further_within.filter(|_| !answers.is_empty());
-            let answer = match further {
-                None => receiver.recv().await,
-                Some(time) => tokio::time::timeout(time, receiver.recv()).await.ok().flatten(),
-            };
-            let Some(answer) = answer else { break };
-            bytes += answer.size();
-            if answers.len() >= MAX_ANSWERS || bytes > MAX_ANSWER_BYTES {
-                tracing::warn!("more answers came than are kept");
-                break;
-            }
-            answers.push(answer);
-        }
-        Ok(answers)
+        asking.await.context("asking failed")?
     }
 }
 

@@ -1,8 +1,10 @@
 //! One bounded send queue: a thread sends what waits, so that no caller ever waits for the bus.
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
+
+use crate::turns::{Turn, Turns};
 
 /// What waits in a queue, bounded: how many messages, and which one is dropped for another.
 pub trait Waiting: Default + Send + 'static {
@@ -58,6 +60,8 @@ pub struct SendQueue<W>(Arc<Shared<W>>);
 struct Shared<W> {
     state: Mutex<State<W>>,
     changed: Condvar,
+    /// How its messages are sent where other queues share the thread.
+    sharing: OnceLock<Sharing>,
 }
 
 #[derive(Debug, Default)]
@@ -66,6 +70,22 @@ struct State<W> {
     sending: bool,
     closed: bool,
     counts: SendCounts,
+    /// Whether it waits for its turn, or has it.
+    has_asked: bool,
+    /// Whether somebody waits until all is sent.
+    is_flushed: bool,
+}
+
+/// A thread that others share, and what this queue does when it has its turn.
+struct Sharing {
+    turns: Turns,
+    turn: Turn,
+}
+
+impl std::fmt::Debug for Sharing {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.turns.fmt(formatter)
+    }
 }
 
 impl<W> Clone for SendQueue<W> {
@@ -96,9 +116,55 @@ impl<W: Waiting> SendQueue<W> {
             return Err(Closed);
         }
         state.counts.dropped += state.waiting.push(message);
-        drop(state);
-        self.0.changed.notify_all();
+        self.notify(state);
         Ok(())
+    }
+
+    /// Something waits: wakes the thread that sends, or asks a shared one for a turn that it was not asked for yet.
+    fn notify(&self, mut state: MutexGuard<'_, State<W>>) {
+        let Some(sharing) = self.0.sharing.get() else {
+            drop(state);
+            return self.0.changed.notify_all();
+        };
+        if !state.waiting.is_empty() && !std::mem::replace(&mut state.has_asked, true) {
+            drop(state);
+            sharing.turns.ask(Arc::clone(&sharing.turn));
+        }
+    }
+
+    /// Has a thread send that other queues share: one message in each turn.
+    pub fn share(&self, turns: &Turns, send: impl FnMut(W::Message) + Send + 'static) {
+        let (queue, send) = (Arc::downgrade(&self.0), Mutex::new(send));
+        let turn = move || {
+            let Some(queue) = queue.upgrade().map(Self) else { return false };
+            let mut state = queue.state();
+            let Some(message) = state.waiting.pop() else {
+                state.has_asked = false;
+                return false;
+            };
+            state.sending = true;
+            drop(state);
+            (send.lock().unwrap_or_else(PoisonError::into_inner))(message);
+            queue.sent();
+            let mut state = queue.state();
+            state.has_asked = !state.waiting.is_empty();
+            state.has_asked
+        };
+        let _ = self.0.sharing.set(Sharing { turns: turns.clone(), turn: Arc::new(turn) });
+        self.notify(self.state());
+    }
+
+    /// A message was sent.
+    fn sent(&self) {
+        let mut state = self.state();
+        state.sending = false;
+        state.counts.sent += 1;
+        let is_flushed = std::mem::take(&mut state.is_flushed);
+        drop(state);
+        // Waking costs more than sending does, and most of the time no one waits.
+        if is_flushed {
+            self.0.changed.notify_all();
+        }
     }
 
     /// What the queue has done so far.
@@ -125,11 +191,7 @@ impl<W: Waiting> SendQueue<W> {
         std::thread::Builder::new().name(thread.to_owned()).spawn(move || {
             while let Some(message) = queue.next() {
                 send(message);
-                let mut state = queue.state();
-                state.sending = false;
-                state.counts.sent += 1;
-                drop(state);
-                queue.0.changed.notify_all();
+                queue.sent();
             }
         })
     }
@@ -150,7 +212,10 @@ impl<W: Waiting> SendQueue<W> {
 
     /// Waits until everything is sent, at most for a time. Blocks.
     pub fn flush(&self, timeout: Duration) {
-        let is_busy = |state: &mut State<W>| state.sending || !state.waiting.is_empty();
+        let is_busy = |state: &mut State<W>| {
+            state.is_flushed = state.sending || !state.waiting.is_empty();
+            state.is_flushed
+        };
         let _ = self.0.changed.wait_timeout_while(self.state(), timeout, is_busy);
     }
 
@@ -190,6 +255,55 @@ mod tests {
         assert!(receiver.iter().eq([2]));
         assert_eq!(queue.counts(), SendCounts { sent: 1, dropped: 1 });
         assert_eq!(queue.push(3), Err(Closed));
+    }
+
+    #[test]
+    fn queues_that_share_a_thread_send_all_in_their_own_order() {
+        let turns = Turns::start("test").unwrap();
+        let (sender, receiver) = mpsc::channel();
+        let queues = [0, 1].map(|number| {
+            let (queue, sender) = (SendQueue::<Queue>::default(), sender.clone());
+            queue.push(0).unwrap();
+            queue.share(&turns, move |byte| sender.send((number, byte)).unwrap());
+            queue
+        });
+        for byte in 1..100 {
+            for queue in &queues {
+                queue.push(byte).unwrap();
+            }
+        }
+        drop(sender);
+        for queue in &queues {
+            queue.flush(Duration::from_secs(10));
+            assert_eq!(queue.counts(), SendCounts { sent: 100, dropped: 0 });
+        }
+        drop(queues);
+        turns.end();
+        let all: Vec<(usize, u8)> = receiver.iter().collect();
+        for number in [0, 1] {
+            let own = all.iter().filter(|(of, _)| *of == number).map(|(_, byte)| *byte);
+            assert!(own.eq(0..100));
+        }
+    }
+
+    #[derive(Debug, Default)]
+    struct Queue(std::collections::VecDeque<u8>);
+
+    impl Waiting for Queue {
+        type Message = u8;
+
+        fn push(&mut self, byte: u8) -> u64 {
+            self.0.push_back(byte);
+            0
+        }
+
+        fn pop(&mut self) -> Option<u8> {
+            self.0.pop_front()
+        }
+
+        fn is_empty(&self) -> bool {
+            self.0.is_empty()
+        }
     }
 
     #[test]

@@ -7,6 +7,8 @@ use zenoh::Wait;
 use zenoh::key_expr::KeyExpr;
 
 use crate::bus::Bus;
+use crate::get::Answer;
+use crate::shared::Participant;
 
 /// Largest payload of a get that is looked at: more than any patch of settings.
 const MAX_QUERY_PAYLOAD: usize = 256 * 1024;
@@ -17,8 +19,22 @@ const MAX_QUERY_PARAMETERS: usize = 8 * 1024;
 
 /// A key expression that is served for as long as this lives.
 #[derive(Debug)]
-pub struct Served {
-    _queryable: zenoh::query::Queryable<()>,
+pub struct Served(Serving);
+
+#[derive(Debug)]
+enum Serving {
+    /// On the bus, until it is let go of.
+    OnBus { _queryable: zenoh::query::Queryable<()> },
+    /// In the process, under a number.
+    InProcess(Participant, u64),
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        if let Serving::InProcess(participant, id) = &self.0 {
+            participant.routes.unserve(*id);
+        }
+    }
 }
 
 /// A get that reached one server of this process.
@@ -34,44 +50,78 @@ pub struct IncomingQuery {
 
 /// A get that waits for its answer. It is over when this is let go.
 #[derive(Debug)]
-pub struct Query(zenoh::query::Query);
+pub struct Query(Asked);
+
+#[derive(Debug)]
+enum Asked {
+    OnBus(zenoh::query::Query),
+    /// By another service of the same process, which gets the answers from the channel.
+    InProcess {
+        selector: String,
+        parameters: String,
+        answers: mpsc::Sender<Answer>,
+    },
+}
 
 impl Query {
+    pub(crate) fn of_bus(query: zenoh::query::Query) -> Self {
+        Self(Asked::OnBus(query))
+    }
+
+    pub(crate) fn of_process(
+        selector: &str,
+        parameters: &str,
+        answers: mpsc::Sender<Answer>,
+    ) -> Self {
+        let (selector, parameters) = (selector.to_owned(), parameters.to_owned());
+        Self(Asked::InProcess { selector, parameters, answers })
+    }
+
     /// The key expression that it asks for.
     #[must_use]
     pub fn selector(&self) -> &str {
-        self.0.key_expr().as_str()
+        match &self.0 {
+            Asked::OnBus(query) => query.key_expr().as_str(),
+            Asked::InProcess { selector, .. } => selector,
+        }
     }
 
     /// What follows the `?` of its selector.
     #[must_use]
     pub fn parameters(&self) -> &str {
-        self.0.parameters().as_str()
+        match &self.0 {
+            Asked::OnBus(query) => query.parameters().as_str(),
+            Asked::InProcess { parameters, .. } => parameters,
+        }
     }
 
     /// Answers with a message. May wait for a busy link.
     ///
     /// # Errors
-    /// If the session is closed, or the get does not select the key of the message.
+    /// If the session is closed, the get does not select the key of the message, or who asked has enough answers.
     pub fn reply(&self, packet: Packet) -> anyhow::Result<()> {
-        let payload = packet.payload.unwrap_or_default();
-        self.0
-            .reply(packet.key, payload)
-            .encoding(packet.encoding.as_str())
-            .wait()
-            .map_err(|error| anyhow::anyhow!("{error}"))
+        match &self.0 {
+            Asked::OnBus(query) => {
+                let payload = packet.payload.unwrap_or_default();
+                let reply = query.reply(packet.key, payload).encoding(packet.encoding.as_str());
+                reply.wait().map_err(|error| anyhow::anyhow!("{error}"))
+            }
+            Asked::InProcess { answers, .. } => Ok(answers.try_send(Answer::Packet(packet))?),
+        }
     }
 
     /// Answers with an error. May wait for a busy link.
     ///
     /// # Errors
-    /// If the session is closed.
+    /// If the session is closed, or who asked has enough answers.
     pub fn refuse(&self, problem: String) -> anyhow::Result<()> {
-        self.0
-            .reply_err(problem)
-            .encoding(muster_wire::message::JSON)
-            .wait()
-            .map_err(|error| anyhow::anyhow!("{error}"))
+        match &self.0 {
+            Asked::OnBus(query) => {
+                let reply = query.reply_err(problem).encoding(muster_wire::message::JSON);
+                reply.wait().map_err(|error| anyhow::anyhow!("{error}"))
+            }
+            Asked::InProcess { answers, .. } => Ok(answers.try_send(Answer::Error(problem))?),
+        }
     }
 }
 
@@ -87,6 +137,10 @@ impl Bus {
         complete: bool,
         queries: mpsc::Sender<IncomingQuery>,
     ) -> anyhow::Result<Served> {
+        if let Some(participant) = &self.participant {
+            let id = participant.routes.serve(participant.id, pattern, complete, queries)?;
+            return Ok(Served(Serving::InProcess(participant.clone(), id)));
+        }
         let text = self.space.pattern(pattern);
         let served = KeyExpr::try_from(text.clone())
             .map_err(|error| anyhow::anyhow!("{text} is no key expression: {error}"))?;
@@ -96,14 +150,7 @@ impl Bus {
             .callback(move |mut query| {
                 let narrowed =
                     query.key_expr().includes(&served).then(|| served.as_str().to_owned());
-                // What waits must be small: a larger get is left where it is, unanswered.
-                let carried = [query.payload(), query.attachment()];
-                let carried = carried.into_iter().flatten().map(zenoh::bytes::ZBytes::len).sum();
-                if !is_small(carried, query.parameters().as_str().len()) {
-                    tracing::warn!(
-                        "a get is dropped: it carries more than {MAX_QUERY_PAYLOAD} bytes, or has \
-                         more than {MAX_QUERY_PARAMETERS} bytes of parameters"
-                    );
+                if !is_small_query(&query) {
                     return;
                 }
                 let payload = query
@@ -111,16 +158,32 @@ impl Bus {
                     .map(std::mem::take)
                     .map(|bytes| bytes.to_bytes().into_owned());
                 // A service that has stopped answers nothing, which needs no warning.
-                if let Err(TrySendError::Full(_)) =
-                    queries.try_send(IncomingQuery { query: Query(query), narrowed, payload })
-                {
+                if let Err(TrySendError::Full(_)) = queries.try_send(IncomingQuery {
+                    query: Query::of_bus(query),
+                    narrowed,
+                    payload,
+                }) {
                     tracing::warn!("a get is dropped: too many wait");
                 }
             })
             .await
-            .map(|queryable| Served { _queryable: queryable })
+            .map(|queryable| Served(Serving::OnBus { _queryable: queryable }))
             .map_err(|error| anyhow::anyhow!("cannot serve {text}: {error}"))
     }
+}
+
+/// Whether a get is small enough to wait. A larger one is left where it is, unanswered.
+pub(crate) fn is_small_query(query: &zenoh::query::Query) -> bool {
+    let carried = [query.payload(), query.attachment()];
+    let carried = carried.into_iter().flatten().map(zenoh::bytes::ZBytes::len).sum();
+    let is_small = is_small(carried, query.parameters().as_str().len());
+    if !is_small {
+        tracing::warn!(
+            "a get is dropped: it carries more than {MAX_QUERY_PAYLOAD} bytes, or has more than \
+             {MAX_QUERY_PARAMETERS} bytes of parameters"
+        );
+    }
+    is_small
 }
 
 /// Whether a get is small enough to wait, by the bytes that it carries and those of its parameters.

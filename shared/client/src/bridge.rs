@@ -1,16 +1,18 @@
 //! What bridges say of themselves, and what is seen of other programs on the bus and of its routers.
 
+use std::sync::Arc;
+
 use muster_bus::{Answer, IncomingQuery, RouterState, Served, Target};
 use muster_model::bridge::BridgeState;
 use muster_model::id::InstanceId;
 use muster_wire::{ForeignPattern, Key, KeySpace, Pattern};
-use tokio::sync::mpsc;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 
 use crate::client::Client;
 use crate::error::Error;
 use crate::get::{REPLY_TIMEOUT, ask_for};
 
-/// Most gets that wait for a bridge: only an operator's tools ask.
+/// Most gets that wait for a bridge, and as many whose answers wait for a busy link: only an operator's tools ask.
 const MAX_WAITING_GETS: usize = 16;
 
 /// Gets of what a bridge says of itself, for as long as this lives.
@@ -18,6 +20,7 @@ const MAX_WAITING_GETS: usize = 16;
 pub struct BridgeGets {
     receiver: mpsc::Receiver<IncomingQuery>,
     space: KeySpace,
+    answering: Arc<Semaphore>,
     _served: Served,
 }
 
@@ -26,15 +29,21 @@ pub struct BridgeGets {
 pub struct BridgeGet {
     query: IncomingQuery,
     space: KeySpace,
+    permit: OwnedSemaphorePermit,
 }
 
 impl BridgeGets {
-    /// The next get. It may be cancelled at any time, as in `select!`, without losing one.
+    /// The next get. It may be cancelled at any time, as in `select!`, without losing one. While too many answers wait for the
+    /// link, gets are dropped: whoever asked receives no answer.
     pub async fn next(&mut self) -> BridgeGet {
-        match self.receiver.recv().await {
-            Some(query) => BridgeGet { query, space: self.space.clone() },
-            // The session is closed: nobody asks any more.
-            None => std::future::pending().await,
+        loop {
+            let Some(query) = self.receiver.recv().await else {
+                // The session is closed: no get comes any more.
+                return std::future::pending().await;
+            };
+            if let Ok(permit) = Arc::clone(&self.answering).try_acquire_owned() {
+                return BridgeGet { query, space: self.space.clone(), permit };
+            }
         }
     }
 }
@@ -47,6 +56,7 @@ impl BridgeGet {
             if let Err(error) = self.query.query.reply(packet) {
                 tracing::debug!("{error:#}");
             }
+            drop(self.permit);
         });
     }
 }
@@ -60,7 +70,8 @@ impl Client {
         let (sender, receiver) = mpsc::channel(MAX_WAITING_GETS);
         let pattern = Pattern::One(Key::Bridge(instance.clone()));
         let served = self.bus().serve(&pattern, true, sender).await.map_err(Error::bus)?;
-        Ok(BridgeGets { receiver, space: self.bus().space().clone(), _served: served })
+        let answering = Arc::new(Semaphore::new(MAX_WAITING_GETS));
+        Ok(BridgeGets { receiver, space: self.bus().space().clone(), answering, _served: served })
     }
 
     /// What the bridges of the fleet say of themselves, by their names. Empty if none replies.

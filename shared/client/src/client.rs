@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use muster_bus::{Bus, Publishers, Session};
+use muster_bus::{Bus, DeclaredKeys, Session};
 use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::id::RobotId;
@@ -83,7 +83,7 @@ impl Client {
 
     fn on_bus(bus: Bus, config: &Config) -> Result<Self, Error> {
         let queue = SendQueue::default();
-        let mut sending = Publishers::new(bus.clone());
+        let mut sending = DeclaredKeys::new(bus.clone());
         let started = queue.start("muster-client", move |message| {
             if let Err(error) = sending.put(message) {
                 tracing::debug!("{error:#}");

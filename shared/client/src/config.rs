@@ -215,7 +215,7 @@ mod tests {
         let docs = [include_str!("lib.rs"), include_str!("config.rs")].concat();
         let Config { stale_after, republish_every, .. } = Config::default();
         let heartbeat_s = muster_model::settings::ClustererSettings::default().heartbeat_s;
-        let follow_s = 2.0 * stale_after.as_secs_f64() + heartbeat_s;
+        let follow_s = stale_after.as_secs_f64() + heartbeat_s;
         assert!(docs.contains(&format!("of `clusterer`, {follow_s} s by default")));
         assert!(docs.contains(&format!("if no newer one arrives: {} s", stale_after.as_secs())));
         assert!(docs.contains(&format!("are republished: {} s", republish_every.as_secs())));

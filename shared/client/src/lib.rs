@@ -42,8 +42,8 @@
 //! A silent link counts as lost after 2 s. The session connects again by itself. A message that is
 //! older than the newest one, by (term, epoch), or names another robot or fleet, changes nothing.
 //! Services that start again without their state begin with lower terms. A reader follows them within
-//! twice [`Config::stale_after`] and one `heartbeat_s` of `clusterer`, 11 s by default: the old message
-//! must be stale first, and the new ones must have kept arriving for as long. Consoles do the same.
+//! [`Config::stale_after`] and one `heartbeat_s` of `clusterer`, 6 s by default: nothing newer, and only
+//! the new ones, must have arrived for as long. Consoles do the same.
 //!
 //! Two processes cannot be the same robot: the second is refused with [`Error::Taken`]. If both joined
 //! while they could not see each other, [`Robot::is_contested`] is true.
@@ -129,7 +129,7 @@ pub use crate::client::Client;
 pub use crate::config::{Config, Mode};
 pub use crate::error::Error;
 pub use crate::feed::{Events, Feed, ReceivedJson, ReceivedPose, Refusals};
-pub use crate::freshness::{Latest, Publication, Staleness};
+pub use crate::freshness::{Freshness, Latest, Publication, Staleness, Via};
 pub use crate::get::{FleetPresence, ServiceInstance};
 pub use crate::propose::AppliedPart;
 pub use crate::robot::{Robot, RobotPublisher};

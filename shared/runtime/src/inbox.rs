@@ -3,7 +3,7 @@
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use muster_service::Arrival;
-use muster_service::inbox::{Inbox, InboxCounts, Parcel};
+use muster_service::inbox::{Inbox, InboxCounts, InboxLimits, Parcel};
 use tokio::sync::Notify;
 
 /// An inbox that any thread may push to.
@@ -14,6 +14,12 @@ pub struct SharedInbox {
 }
 
 impl SharedInbox {
+    /// An empty inbox with other limits.
+    #[must_use]
+    pub fn bounded(limits: InboxLimits) -> Self {
+        Self { inbox: Mutex::new(Inbox::bounded(limits)), arrived: Notify::new() }
+    }
+
     /// No critical section can panic half-way, so that a poisoned lock still guards a whole state.
     fn lock(&self) -> MutexGuard<'_, Inbox> {
         self.inbox.lock().unwrap_or_else(PoisonError::into_inner)

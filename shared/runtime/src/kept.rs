@@ -13,15 +13,24 @@ use crate::store::{read_at_most, replace};
 #[derive(Debug, Clone)]
 pub struct KeptStore {
     path: Option<PathBuf>,
+    /// What happens without the file, for the log.
+    without: &'static str,
 }
 
 impl KeptStore {
-    /// The file `{directory}/{fleet}/{service}.kept`, or nothing at all without a directory.
+    /// The file `{directory}/{fleet}/{service}.kept`, or nothing at all without a directory, or for a service that keeps
+    /// nothing. `without` says what happens without the file ([`Core::WITHOUT_KEPT`](muster_service::Core::WITHOUT_KEPT)).
     #[must_use]
-    pub fn new(directory: Option<&Path>, fleet: &FleetId, service: ServiceName) -> Self {
+    pub fn new(
+        directory: Option<&Path>,
+        fleet: &FleetId,
+        service: ServiceName,
+        without: Option<&'static str>,
+    ) -> Self {
         let path = directory
+            .filter(|_| without.is_some())
             .map(|directory| directory.join(fleet.as_str()).join(format!("{service}.kept")));
-        Self { path }
+        Self { path, without: without.unwrap_or_default() }
     }
 
     /// What was kept. Operators are told if that cannot be read, or if there is nothing though the service
@@ -34,9 +43,9 @@ impl KeptStore {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 if has_run {
                     tracing::warn!(
-                        "there is no {}, though this service has run here before: if no other service \
-                         has its last output, team ids begin anew",
-                        path.display()
+                        "there is no {}, though this service has run here before: {}",
+                        path.display(),
+                        self.without
                     );
                 }
                 None
@@ -53,10 +62,10 @@ impl KeptStore {
         let Some(path) = &self.path else { return };
         let bad = path.with_extension("kept.bad");
         tracing::error!(
-            "{} is damaged, not used, and renamed to {}: {problem}; if no other service has the last \
-             output, team ids begin anew",
+            "{} is damaged, not used, and renamed to {}: {problem}; {}",
             path.display(),
-            bad.display()
+            bad.display(),
+            self.without
         );
         let _ = std::fs::rename(path, bad);
     }
@@ -79,7 +88,12 @@ mod tests {
     fn what_is_saved_is_loaded_and_what_is_damaged_is_put_aside() {
         let folder = tempfile::tempdir().unwrap();
         let fleet = FleetId::new("f").unwrap();
-        let store = KeptStore::new(Some(folder.path()), &fleet, ServiceName::Clusterer);
+        let store = KeptStore::new(
+            Some(folder.path()),
+            &fleet,
+            ServiceName::Clusterer,
+            Some("ids begin again"),
+        );
         assert_eq!(store.load(true), None);
         store.save(b"one").unwrap();
         store.save(b"two").unwrap();
@@ -93,7 +107,7 @@ mod tests {
     #[test]
     fn without_a_directory_nothing_is_kept() {
         let fleet = FleetId::new("f").unwrap();
-        let store = KeptStore::new(None, &fleet, ServiceName::Clusterer);
+        let store = KeptStore::new(None, &fleet, ServiceName::Clusterer, Some("ids begin again"));
         store.save(b"one").unwrap();
         assert_eq!(store.load(true), None);
     }

@@ -3,7 +3,7 @@
 //! [`service`] is the whole `main` of a service binary, and [`shell`] runs the host of one service. [`config`]
 //! reads flags, environment and file; [`bus`] is the session, from a crate of its own. Packets wait in
 //! [`inbox`] and [`send_queue`], gets for the thread of `reply_worker`. [`store`] keeps settings over a
-//! restart, [`kept`] what a core keeps, [`records`] what a service records, [`recording`] what happens to it. [`observe`] serves health
+//! restart, [`kept`] what a core keeps, [`records`] what a service records, [`recording`] what happens to it. [`pool`] is what services of many fleets share. [`observe`] serves health
 //! and metrics, [`notify`] informs a service manager, and [`stop`] turns signals into a clean end.
 
 pub mod clock;
@@ -16,6 +16,7 @@ pub mod kept;
 pub mod logging;
 pub mod notify;
 pub mod observe;
+pub mod pool;
 pub mod recording;
 pub mod records;
 mod reply_worker;

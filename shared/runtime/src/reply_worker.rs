@@ -11,6 +11,7 @@ use tokio::sync::{mpsc, oneshot};
 
 use crate::bus::Query;
 use crate::kept::KeptStore;
+use crate::pool::Pool;
 use crate::store::Store;
 
 /// Most tasks that wait.
@@ -67,6 +68,33 @@ pub(crate) struct Files {
     pub(crate) kept: KeptStore,
 }
 
+/// What works on the tasks, one after another.
+struct Writer<Send> {
+    files: Files,
+    to_store: Place<Stored>,
+    to_keep: Place<Vec<u8>>,
+    sent_bytes: Arc<AtomicUsize>,
+    span: tracing::Span,
+    send: Send,
+}
+
+impl<Send: Fn(Input)> Writer<Send> {
+    /// Works on a task. May wait for a disk or a busy link.
+    fn work(&self, task: Task) {
+        let _service = self.span.enter();
+        store_newest(&self.files.store, &self.to_store, &self.send);
+        match task {
+            Task::Store | Task::Keep => {}
+            Task::Reply { query, answer, bytes } => {
+                self.sent_bytes.fetch_sub(bytes, Ordering::Relaxed);
+                reply(&query, answer);
+            }
+        }
+        // Answers wait for the state, and not for this.
+        keep_newest(&self.files.kept, &self.to_keep, &self.send);
+    }
+}
+
 /// Hands tasks to the thread, which ends when all handles are gone.
 pub(crate) struct ReplyWorker {
     tasks: mpsc::Sender<Task>,
@@ -76,40 +104,53 @@ pub(crate) struct ReplyWorker {
 }
 
 impl ReplyWorker {
-    /// Starts the thread. `send` brings inputs back to the loop. The returned receiver learns of the
-    /// thread's end.
+    /// Starts the thread, or a task that works on threads that others share. `send` brings inputs back to the loop. The
+    /// returned receiver learns of the end.
     pub(crate) fn start(
         files: Files,
-        send: impl Fn(Input) + Send + 'static,
+        pool: Option<&Pool>,
+        send: impl Fn(Input) + Send + Sync + 'static,
     ) -> anyhow::Result<(Self, oneshot::Receiver<()>)> {
         let (sender, mut tasks) = mpsc::channel::<Task>(MAX_WAITING_TASKS);
         let (done, ended) = oneshot::channel();
-        let Files { store, kept } = files;
         let (unstored, unkept) = (Place::default(), Place::default());
-        let (to_store, to_keep) = (Arc::clone(&unstored), Arc::clone(&unkept));
         let waiting_bytes = Arc::new(AtomicUsize::new(0));
-        let sent_bytes = Arc::clone(&waiting_bytes);
-        let span = tracing::Span::current();
-        std::thread::Builder::new()
-            .name("muster-replies".to_owned())
-            .spawn(move || {
-                let _service = span.enter();
-                while let Some(task) = tasks.blocking_recv() {
-                    store_newest(&store, &to_store, &send);
-                    match task {
-                        Task::Store => {}
-                        Task::Keep => {}
-                        Task::Reply { query, answer, bytes } => {
-                            sent_bytes.fetch_sub(bytes, Ordering::Relaxed);
-                            reply(&query, answer);
-                        }
+        let writer = Writer {
+            files,
+            to_store: Arc::clone(&unstored),
+            to_keep: Arc::clone(&unkept),
+            sent_bytes: Arc::clone(&waiting_bytes),
+            span: tracing::Span::current(),
+            send,
+        };
+        match pool.cloned() {
+            None => {
+                let write = move || {
+                    while let Some(task) = tasks.blocking_recv() {
+                        writer.work(task);
                     }
-                    // Answers wait for the state, and not for this.
-                    keep_newest(&kept, &to_keep, &send);
-                }
-                let _ = done.send(());
-            })
-            .context("cannot start the thread that answers gets")?;
+                    let _ = done.send(());
+                };
+                std::thread::Builder::new()
+                    .name("muster-replies".to_owned())
+                    .spawn(write)
+                    .context("cannot start the thread that answers gets")?;
+            }
+            Some(pool) => {
+                let writer = Arc::new(writer);
+                tokio::spawn(async move {
+                    while let Some(task) = tasks.recv().await {
+                        let (leave, writer) = (pool.write().await, Arc::clone(&writer));
+                        let working = tokio::task::spawn_blocking(move || {
+                            writer.work(task);
+                            drop(leave);
+                        });
+                        let _ = working.await;
+                    }
+                    let _ = done.send(());
+                });
+            }
+        }
         Ok((Self { tasks: sender, unstored, unkept, waiting_bytes }, ended))
     }
 

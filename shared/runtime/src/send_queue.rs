@@ -12,6 +12,7 @@ use muster_wire::Packet;
 
 use crate::bus::Urgency;
 use crate::bus::send_queue::{self, SendCounts, Waiting};
+use crate::pool::Pool;
 
 /// Most messages that wait to be sent: the per-robot messages of a division of 10,000 robots.
 const MAX_WAITING: usize = 16_384;
@@ -114,6 +115,17 @@ impl SendQueue {
         self.renewal
             .start("muster-renewals", move |packet| renew(packet, Urgency::LeaseRenewal))?;
         self.packets.start("muster-sender", move |packet| send(packet, Urgency::Normal))
+    }
+
+    /// Has threads send that other queues share, lease renewals by one of their own.
+    pub fn share(
+        &self,
+        pool: &Pool,
+        mut send: impl FnMut(Packet, Urgency) + Clone + Send + 'static,
+    ) {
+        let mut renew = send.clone();
+        self.renewal.share(&pool.renewals, move |packet| renew(packet, Urgency::LeaseRenewal));
+        self.packets.share(&pool.packets, move |packet| send(packet, Urgency::Normal));
     }
 
     /// Accepts nothing more, and waits a moment until what waits is sent. Blocks.

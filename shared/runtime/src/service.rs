@@ -9,13 +9,14 @@ use muster_model::id::{InstanceId, ServiceName};
 use muster_service::Core;
 use tracing::Instrument as _;
 
-use crate::bus::{self, Bus, ConnectTimeout};
+use crate::bus::{self, Bus, ConnectTimeout, SharedBus};
 use crate::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
 use crate::exit::{self, ExitError};
 use crate::instance::instance_name;
 use crate::kept::KeptStore;
 use crate::notify;
 use crate::observe::{Observatory, Observer};
+use crate::pool::Pool;
 use crate::recording::RecordTo;
 use crate::records::{OpenRecords, RecordOptions, RecordPlace};
 use crate::shell::{self, ServiceOptions};
@@ -24,6 +25,9 @@ use crate::store::Store;
 
 /// How long computations that still run at the end are waited for.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// Most threads for work that blocks, such as gets on a busy link: tokio's own default.
+const MAX_BLOCKING_THREADS: usize = 512;
 
 /// When a process that waits for its router counts as started.
 const READY_AFTER: Duration = Duration::from_secs(1);
@@ -113,10 +117,28 @@ pub fn block_on<T, F>(config: &ProcessConfig, job: F) -> anyhow::Result<T>
 where
     F: AsyncFnOnce(ProcessConfig, Stop) -> anyhow::Result<T>,
 {
+    block_on_threads(config, MAX_BLOCKING_THREADS, job)
+}
+
+/// The same with another number of threads for work that blocks, at most.
+///
+/// # Errors
+/// What the job returns; or what keeps the runtime from starting.
+pub fn block_on_threads<T, F>(
+    config: &ProcessConfig,
+    max_blocking_threads: usize,
+    job: F,
+) -> anyhow::Result<T>
+where
+    F: AsyncFnOnce(ProcessConfig, Stop) -> anyhow::Result<T>,
+{
     crate::logging::start(config.log.value.as_deref(), config.log_json.value)
         .map_err(ExitError::usage)?;
     // Zenoh does not work on a single-threaded runtime.
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .max_blocking_threads(max_blocking_threads)
+        .build()?;
     let result = runtime.block_on(async {
         let (stopper, stop) = stop::channel();
         stop::on_signals(stopper.clone())?;
@@ -136,6 +158,34 @@ pub async fn run<C: Core>(
     observer: Observer,
 ) -> anyhow::Result<()> {
     run_of::<C>(config, stop, observer, None).await
+}
+
+/// What services of many fleets in one process share.
+#[derive(Debug, Clone)]
+pub struct Shared {
+    /// The bus.
+    pub bus: SharedBus,
+    /// Threads.
+    pub pool: Pool,
+}
+
+/// Runs one service of the fleet of the configuration on a bus and on threads that many share, until it is time to stop.
+/// `open_records` opens the store of a service that keeps records.
+///
+/// # Errors
+/// If the settings are wrong, or the bus refuses what the service declares.
+pub async fn run_shared<C: Core>(
+    config: ProcessConfig,
+    stop: Stop,
+    observer: Observer,
+    shared: Shared,
+    open_records: Option<OpenRecords>,
+) -> anyhow::Result<()> {
+    let instance = instance_name();
+    let fleet = config.fleet.value.clone();
+    let span = tracing::error_span!("service", service = %C::SERVICE, %instance, %fleet);
+    let options = options::<C>(&config, observer, instance, open_records, Some(shared.pool))?;
+    shell::run::<C>(shared.bus.join(&fleet), options, stop).instrument(span).await
 }
 
 /// The same for a service that keeps records. `open_records` opens their store.
@@ -173,21 +223,7 @@ async fn run_instance<C: Core>(
     instance: InstanceId,
     open_records: Option<OpenRecords>,
 ) -> anyhow::Result<()> {
-    // Made before the bus opens, so that a wrong name is an error at once.
-    let record = config.record.as_ref().map(|to| to.create(C::SERVICE, &instance)).transpose()?;
-    let directory = config.state_directory.value.as_deref();
-    let fleet = config.fleet.value.clone();
-    let folder = directory.map(|directory| directory.join(fleet.as_str()));
-    let place = RecordPlace { folder, fleet, instance: instance.clone() };
-    let options = ServiceOptions {
-        instance,
-        record,
-        settings: config.settings(C::SERVICE)?,
-        store: Store::new(directory, &config.fleet.value, C::SERVICE),
-        kept: KeptStore::new(directory, &config.fleet.value, C::SERVICE),
-        records: open_records.map(|open| RecordOptions { place, open }),
-        observer,
-    };
+    let options = options::<C>(&config, observer, instance, open_records, None)?;
     let mut watched = notify::watch();
     let bus = tokio::select! {
         bus = watched.during(open(&config)) => bus?,
@@ -198,6 +234,32 @@ async fn run_instance<C: Core>(
     };
     drop(watched);
     shell::run::<C>(bus, options, stop).await
+}
+
+/// What a service is run with, by the configuration of its process.
+fn options<C: Core>(
+    config: &ProcessConfig,
+    observer: Observer,
+    instance: InstanceId,
+    open_records: Option<OpenRecords>,
+    pool: Option<Pool>,
+) -> anyhow::Result<ServiceOptions<C::Settings>> {
+    // Made before the bus opens, so that a wrong name is an error at once.
+    let record = config.record.as_ref().map(|to| to.create(C::SERVICE, &instance)).transpose()?;
+    let directory = config.state_directory.value.as_deref();
+    let fleet = config.fleet.value.clone();
+    let folder = directory.map(|directory| directory.join(fleet.as_str()));
+    let place = RecordPlace { folder, fleet, instance: instance.clone() };
+    Ok(ServiceOptions {
+        instance,
+        record,
+        settings: config.settings(C::SERVICE)?,
+        store: Store::new(directory, &config.fleet.value, C::SERVICE),
+        kept: KeptStore::new(directory, &config.fleet.value, C::SERVICE, C::WITHOUT_KEPT),
+        records: open_records.map(|open| RecordOptions { place, open }),
+        observer,
+        pool,
+    })
 }
 
 /// Opens the bus, and notes for the service manager if it waits for a router: that may take long, and is

@@ -14,6 +14,7 @@ use std::time::Duration;
 
 use muster_model::id::InstanceId;
 use muster_model::role::ReplicaState;
+use muster_service::inbox::InboxLimits;
 use muster_service::recording::{Head, commands_frame, input_frame};
 use muster_service::replay::panic_text;
 use muster_service::{Arrival, Command, Core, GetId, Host, IncomingGet, Input, Start, Stopwatch};
@@ -23,13 +24,14 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, MissedTickBehavior, sleep_until};
 use tracing::Instrument as _;
 
-use crate::bus::{Answer, Ask, Bus, IncomingQuery, Query, Target, Urgency};
+use crate::bus::{Answer, Ask, Bus, DeclaredKeys, IncomingQuery, Query, Target, Urgency};
 use crate::clock::Clock;
 use crate::declarations::{TokenChange, declare, declare_tokens};
 use crate::inbox::SharedInbox;
 use crate::kept::KeptStore;
 use crate::notify;
 use crate::observe::{Observer, Queues};
+use crate::pool::{self, Pool};
 use crate::recording::{RecordFile, Recording, host_facts};
 use crate::records::{RecordOptions, RecordWriter};
 use crate::reply_worker::{Files, ReplyWorker};
@@ -70,6 +72,8 @@ pub struct ServiceOptions<S> {
     pub observer: Observer,
     /// Where its life is recorded, if it is.
     pub record: Option<RecordFile>,
+    /// What it shares with services of other fleets in the same process, if there are any.
+    pub pool: Option<Pool>,
 }
 
 /// Something that was started has ended.
@@ -90,7 +94,9 @@ pub async fn run<C: Core>(
 ) -> anyhow::Result<()> {
     let mut watchdog = notify::watch();
     let clock = Clock::start();
-    let inbox = Arc::new(SharedInbox::default());
+    let pool = options.pool;
+    let limits = pool.as_ref().map_or_else(InboxLimits::default, |_| pool::INBOX_LIMITS);
+    let inbox = Arc::new(SharedInbox::bounded(limits));
     let send_queue = SendQueue::default();
     let (gets, mut incoming) = mpsc::channel(MAX_WAITING_GETS);
     let (ended_sender, mut ended) = mpsc::channel(MAX_WAITING_INPUTS);
@@ -104,16 +110,16 @@ pub async fn run<C: Core>(
         stored: options.store.load_noting(&mut state_loss),
     };
     let has_run = start.stored.term > 0;
-    let restored = if C::KEEPS { options.kept.load(has_run) } else { None };
+    let restored = options.kept.load(has_run);
     let recording = match options.record {
         Some(file) => Some(Recording::start(file, &Head::new::<C>(&start, host_facts())?)?),
         None => None,
     };
     let host = Host::<C>::new(start);
-    start_sending(&bus, &send_queue)?;
+    start_sending(&bus, &send_queue, pool.as_ref())?;
     let worker_ended = ended_sender.clone();
     let files = Files { store: options.store, kept: options.kept.clone() };
-    let (replies, replies_done) = ReplyWorker::start(files, move |input| {
+    let (replies, replies_done) = ReplyWorker::start(files, pool.as_ref(), move |input| {
         // Sending fails only after the loop has ended.
         let _ = worker_ended.blocking_send(Ended { input, done: None });
     })?;
@@ -129,6 +135,8 @@ pub async fn run<C: Core>(
     let token = bus.declare_token(&Key::ServiceToken(C::SERVICE, options.instance)).await?;
     let mut link = bus.link();
 
+    // Thousands of services have one state of the process in common, which is not theirs to note.
+    let is_alone = pool.is_none();
     let mut shell = Shell {
         host,
         bus: bus.clone(),
@@ -145,10 +153,13 @@ pub async fn run<C: Core>(
         observer: observer.clone(),
         kept: options.kept,
         recording,
+        pool,
     };
     let serving = format!("{} serves fleet {}", C::SERVICE, bus.space().fleet());
     tracing::info!("{serving}");
-    notify::ready(&serving);
+    if is_alone {
+        notify::ready(&serving);
+    }
     let linked = *link.borrow_and_update();
     observer.link(linked);
     if let Some(content) = restored {
@@ -158,7 +169,8 @@ pub async fn run<C: Core>(
     if let Some(reason) = state_loss {
         shell.handle(Input::StateLost { reason });
     }
-    let mut show = tokio::time::interval(SHOW_INTERVAL);
+    let interval = shell.pool.as_ref().map_or(SHOW_INTERVAL, |_| pool::SHOW_INTERVAL);
+    let mut show = tokio::time::interval(interval);
     show.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         let deadline = shell.host.deadline();
@@ -182,14 +194,18 @@ pub async fn run<C: Core>(
                 let up = *link.borrow_and_update();
                 tracing::warn!("the link to the router is {}", if up { "back" } else { "lost" });
                 observer.link(up);
-                notify::status(if up { &serving } else { "the link to the router is lost" });
+                if is_alone {
+                    notify::status(if up { &serving } else { "the link to the router is lost" });
+                }
                 shell.handle(if up { Input::LinkRestored } else { Input::LinkLost });
             }
         }
     }
     observer.ended();
     tracing::info!("{} ends", C::SERVICE);
-    notify::stopping().await;
+    if is_alone {
+        notify::stopping().await;
+    }
     let recording = shell.recording.take();
     drop(shell);
     // What waits for a place must not keep the worker from its end.
@@ -213,14 +229,18 @@ pub async fn run<C: Core>(
     Ok(())
 }
 
-fn start_sending(bus: &Bus, send_queue: &SendQueue) -> anyhow::Result<()> {
-    let (bus, span) = (bus.clone(), tracing::Span::current());
-    send_queue.start(move |packet, urgency: Urgency| {
+fn start_sending(bus: &Bus, send_queue: &SendQueue, pool: Option<&Pool>) -> anyhow::Result<()> {
+    let (mut sending, span) = (DeclaredKeys::new(bus.clone()), tracing::Span::current());
+    let send = move |packet, urgency: Urgency| {
         let _service = span.enter();
-        if let Err(error) = bus.put_packet(packet, urgency) {
+        if let Err(error) = sending.put_packet(packet, urgency) {
             tracing::debug!("{error:#}");
         }
-    })?;
+    };
+    match pool {
+        Some(pool) => send_queue.share(pool, send),
+        None => drop(send_queue.start(send)?),
+    }
     Ok(())
 }
 
@@ -241,6 +261,7 @@ struct Shell<C: Core> {
     kept: KeptStore,
     recording: Option<Recording>,
     observer: Observer,
+    pool: Option<Pool>,
 }
 
 impl<C: Core> Shell<C> {
@@ -268,7 +289,12 @@ impl<C: Core> Shell<C> {
                     let bytes = publication.packets.iter().map(Packet::size).sum();
                     self.observer.published(message, bytes, self.clock.now());
                 }
-                self.send_queue.push(publication);
+                for packet in &publication.packets {
+                    self.bus.hand_over(packet);
+                }
+                if !publication.is_lease_renewal || self.bus.has_rivals() {
+                    self.send_queue.push(publication);
+                }
             }
             Command::Reply(reply) => {
                 if let Some(query) = self.gets.remove(&reply.get) {
@@ -394,7 +420,7 @@ impl<C: Core> Shell<C> {
         let (ended, observer) = (self.ended.clone(), self.observer.clone());
         observer.job_started();
         let span = tracing::Span::current();
-        tokio::task::spawn_blocking(move || {
+        let compute = move || {
             let _service = span.enter();
             let start = Instant::now();
             let micros = move || u64::try_from(start.elapsed().as_micros()).unwrap_or(u64::MAX);
@@ -408,7 +434,17 @@ impl<C: Core> Shell<C> {
             let input = Input::JobEnded { laps: stopwatch.laps().to_vec(), panic };
             // Sending fails only after the loop has ended.
             let _ = ended.blocking_send(Ended { input, done });
-        });
+        };
+        match &self.pool {
+            None => drop(tokio::task::spawn_blocking(compute)),
+            Some(pool) => {
+                let turn = pool.compute();
+                tokio::spawn(async move {
+                    let _leave = turn.await;
+                    let _ = tokio::task::spawn_blocking(compute).await;
+                });
+            }
+        }
     }
 
     fn ask(&self, ask: muster_service::Ask) {

@@ -34,7 +34,7 @@ const HANGS: Duration = Duration::from_secs(9);
 /// How long a test waits for what should come soon.
 const SOON: Duration = Duration::from_secs(15);
 
-/// Scrapes beside a service that publishes without a pause: a gap of a microsecond is seen in some of them.
+/// Scrapes next to a service that publishes without a pause: a gap of a microsecond is seen in some of them.
 const SCRAPES: usize = 300;
 
 /// A core that hangs over every pose.

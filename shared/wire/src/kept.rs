@@ -1,8 +1,11 @@
 //! What a service keeps over a restart in addition to its settings, as bytes of a file.
 //!
-//! A file is [`MAGIC`], the [`VERSION`] of the content, and one frame: length, checksum, and the content. That
-//! is the end of the reserved numbers in eight bytes with the lowest first, the length of the wishes in four, the wishes and
-//! the division as they are on the bus, if there were any. A file that breaks off or was damaged is recognised, and is not used.
+//! A file is eight magic bytes, the version of the content, and one frame: length, checksum, and the content. A file that breaks
+//! off or was damaged is recognised, and is not used.
+//!
+//! Of the clusterer ([`KeptTeams`], [`MAGIC`], [`VERSION`]) the content is the end of the reserved numbers in eight bytes with the
+//! lowest first, the length of the wishes in four, the wishes and the division as they are on the bus, if there were any. Of the
+//! embedder ([`KeptShape`], [`SHAPE_MAGIC`], [`SHAPE_VERSION`]) it is the number of teams and K, in four bytes each.
 
 use muster_model::content::Checked;
 use muster_model::teams::Teams;
@@ -11,11 +14,17 @@ use muster_model::wish::WishList;
 use crate::envelope::{self, EnvelopeError, MAX_SERVICE_PAYLOAD};
 use crate::recording::{framed, unframed};
 
-/// The first bytes of every file.
+/// The first bytes of the file of the clusterer.
 pub const MAGIC: [u8; 8] = *b"\xB7mustkpt";
 
-/// Version of the content. Any change of its types is a new version.
+/// Version of its content. Any change of its types is a new version.
 pub const VERSION: u8 = 3;
+
+/// The first bytes of the file of the embedder.
+pub const SHAPE_MAGIC: [u8; 8] = *b"\xB7mustshp";
+
+/// Version of its content.
+pub const SHAPE_VERSION: u8 = 1;
 
 /// Magic bytes and version.
 const HEAD: usize = MAGIC.len() + 1;
@@ -27,14 +36,76 @@ pub const MAX_KEPT: usize = MAX_SERVICE_PAYLOAD + 1024;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum KeptError {
     /// The first bytes are others, or too few.
-    #[error("this is no kept division")]
+    #[error("this is no file that this service has kept")]
     NotKept,
     /// The content has another form.
-    #[error("the kept division has version {0}, and this program reads version {VERSION}")]
-    Version(u8),
+    #[error("the kept file has version {found}, and this program reads version {read}")]
+    Version {
+        /// That of the file.
+        found: u8,
+        /// The one that can be read.
+        read: u8,
+    },
     /// The bytes are not those that were written.
-    #[error("the kept division is damaged: {0}")]
+    #[error("the kept file is damaged: {0}")]
     Damaged(String),
+}
+
+/// A file of this content.
+fn file(magic: [u8; 8], version: u8, content: &[u8]) -> Result<Vec<u8>, EnvelopeError> {
+    let mut bytes = magic.to_vec();
+    bytes.push(version);
+    bytes.extend(framed(content, MAX_KEPT - 2 * HEAD)?);
+    Ok(bytes)
+}
+
+/// The content of a file.
+fn content(magic: [u8; 8], version: u8, file: &[u8]) -> Result<&[u8], KeptError> {
+    let (Some(head), Some(rest)) = (file.get(..HEAD), file.get(HEAD..)) else {
+        return Err(KeptError::NotKept);
+    };
+    match head.split_last() {
+        Some((found, of)) if of == magic => {
+            if *found != version {
+                return Err(KeptError::Version { found: *found, read: version });
+            }
+        }
+        _ => return Err(KeptError::NotKept),
+    }
+    unframed(rest, MAX_KEPT).map_err(KeptError::Damaged)
+}
+
+/// What the embedder keeps: what the next embedding would be without any before it may be other than what all have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct KeptShape {
+    /// How many teams the last embedding showed; 0 where the number is given.
+    pub teams: u32,
+    /// K of it: how many triplets it had.
+    pub rank: u32,
+}
+
+impl KeptShape {
+    /// The bytes of the file.
+    ///
+    /// # Errors
+    /// None that can happen: the content is small.
+    pub fn encode(&self) -> Result<Vec<u8>, EnvelopeError> {
+        let content = [self.teams.to_le_bytes(), self.rank.to_le_bytes()].concat();
+        file(SHAPE_MAGIC, SHAPE_VERSION, &content)
+    }
+
+    /// Reads the bytes of a file.
+    ///
+    /// # Errors
+    /// [`KeptError`] names what is wrong with them.
+    pub fn decode(bytes: &[u8]) -> Result<Self, KeptError> {
+        let content = content(SHAPE_MAGIC, SHAPE_VERSION, bytes)?;
+        let &[a, b, c, d, e, f, g, h] = content else {
+            return Err(KeptError::Damaged(format!("it has {} bytes and not 8", content.len())));
+        };
+        let (teams, rank) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
+        Ok(Self { teams, rank })
+    }
 }
 
 /// What the clusterer keeps.
@@ -65,10 +136,7 @@ impl KeptTeams {
         if let Some(teams) = &self.teams {
             content.extend(envelope::encode(&**teams)?);
         }
-        let mut bytes = MAGIC.to_vec();
-        bytes.push(VERSION);
-        bytes.extend(framed(&content, MAX_KEPT - 2 * HEAD)?);
-        Ok(bytes)
+        file(MAGIC, VERSION, &content)
     }
 
     /// Reads the bytes of a file.
@@ -77,16 +145,7 @@ impl KeptTeams {
     /// [`KeptError`] names what is wrong with them.
     pub fn decode(bytes: &[u8]) -> Result<Self, KeptError> {
         let damaged = |problem: String| KeptError::Damaged(problem);
-        let (Some(head), Some(rest)) = (bytes.get(..HEAD), bytes.get(HEAD..)) else {
-            return Err(KeptError::NotKept);
-        };
-        if head[..MAGIC.len()] != MAGIC {
-            return Err(KeptError::NotKept);
-        }
-        if head[MAGIC.len()] != VERSION {
-            return Err(KeptError::Version(head[MAGIC.len()]));
-        }
-        let content = unframed(rest, MAX_KEPT).map_err(damaged)?;
+        let content = content(MAGIC, VERSION, bytes)?;
         let broken = || damaged("it breaks off".to_owned());
         let (reserved, rest) = content.split_first_chunk().ok_or_else(broken)?;
         let (length, rest) = rest.split_first_chunk().ok_or_else(broken)?;
@@ -200,6 +259,22 @@ mod tests {
         assert!(KeptTeams::decode(&[&good[..], &[0]].concat()).is_err());
         let mut newer = good;
         newer[MAGIC.len()] = 9;
-        assert_eq!(KeptTeams::decode(&newer), Err(KeptError::Version(9)));
+        assert_eq!(KeptTeams::decode(&newer), Err(KeptError::Version { found: 9, read: VERSION }));
+    }
+
+    #[test]
+    fn the_shape_of_an_embedding_is_read_back_and_every_damage_is_found() {
+        let shape = KeptShape { teams: 6, rank: 300 };
+        let good = shape.encode().unwrap();
+        assert_eq!(KeptShape::decode(&good), Ok(shape));
+        let hex: String = good.iter().map(|byte| format!("{byte:02x}")).collect();
+        assert_eq!(&hex[..18], "b76d75737473687001");
+        for at in 0..good.len() {
+            let mut bad = good.clone();
+            bad[at] ^= 1;
+            assert!(KeptShape::decode(&bad).is_err(), "byte {at}");
+            assert!(KeptShape::decode(&good[..at]).is_err(), "{at} bytes");
+        }
+        assert_eq!(KeptShape::decode(&kept().encode().unwrap()), Err(KeptError::NotKept));
     }
 }

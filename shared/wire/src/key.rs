@@ -21,7 +21,7 @@ use crate::packet::quoted;
 const KEYS_FOR_ROBOTS: [&str; 2] = ["team", "refused"];
 
 /// What stands before the fleet in every key.
-const ROOT: &str = "muster/v1";
+pub(crate) const ROOT: &str = "muster/v1";
 
 /// One place of a fleet on the bus.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -163,6 +163,13 @@ pub struct KeySpace {
 /// Every key of every fleet, for those who look for fleets that they do not know.
 pub const ANY_FLEET: &str = "muster/v1/**";
 
+/// The name of the fleet whose key a text is, whether such a fleet may be or not.
+#[must_use]
+pub fn fleet_name(text: &str) -> Option<&str> {
+    let (fleet, _) = text.strip_prefix(ROOT)?.strip_prefix('/')?.split_once('/')?;
+    Some(fleet)
+}
+
 /// The fleet that a key belongs to, whichever that is, and the key; none if it is no key of ours.
 #[must_use]
 pub fn parse_any(text: &str) -> Option<(FleetId, Key)> {
@@ -203,35 +210,7 @@ impl KeySpace {
     /// The key expression of a set of keys.
     #[must_use]
     pub fn pattern(&self, pattern: &Pattern) -> String {
-        let tail = match pattern {
-            Pattern::RobotTokens => "robot/*",
-            Pattern::Stream(stream) => return format!("{}robot/*/{stream}", self.prefix),
-            Pattern::UnknownStreams => "robot/*/*",
-            Pattern::Relations => "robot/*/relation/*",
-            Pattern::RobotTeams => "robot/*/team",
-            Pattern::RobotRefusals => "robot/*/refused",
-            Pattern::Histories => "history/*",
-            Pattern::HistoryStates => "history/*/state",
-            Pattern::Graphs => "graph/*",
-            Pattern::ServiceTokens => "service/*/*",
-            Pattern::InstanceTokens(service) => {
-                return format!("{}service/{service}/*", self.prefix);
-            }
-            Pattern::Statuses => "service/*/status",
-            Pattern::EachWish => "wish/*/*",
-            Pattern::EachProposal => "propose/*/*",
-            Pattern::Bridges => "bridge/*",
-            Pattern::ProposalsOf(operator) => {
-                return format!("{}propose/{operator}/*", self.prefix);
-            }
-            Pattern::Commands(service) => {
-                return format!("{}command/{service}/*/*", self.prefix);
-            }
-            Pattern::Everything => "**",
-            Pattern::One(key) => return self.format(key),
-            Pattern::Foreign(pattern) => return pattern.to_string(),
-        };
-        format!("{}{tail}", self.prefix)
+        below(&self.prefix, pattern)
     }
 
     /// Reads a key off the bus.
@@ -263,6 +242,40 @@ impl KeySpace {
         let robot = (chunks.next() == Some("robot")).then(|| chunks.next()).flatten()?;
         RobotId::new(robot).ok()
     }
+}
+
+/// The key expression of a set of keys below a prefix.
+pub(crate) fn below(prefix: &str, pattern: &Pattern) -> String {
+    let tail = match pattern {
+        Pattern::RobotTokens => "robot/*",
+        Pattern::Stream(stream) => return format!("{prefix}robot/*/{stream}"),
+        Pattern::UnknownStreams => "robot/*/*",
+        Pattern::Relations => "robot/*/relation/*",
+        Pattern::RobotTeams => "robot/*/team",
+        Pattern::RobotRefusals => "robot/*/refused",
+        Pattern::Histories => "history/*",
+        Pattern::HistoryStates => "history/*/state",
+        Pattern::Graphs => "graph/*",
+        Pattern::ServiceTokens => "service/*/*",
+        Pattern::InstanceTokens(service) => {
+            return format!("{prefix}service/{service}/*");
+        }
+        Pattern::Statuses => "service/*/status",
+        Pattern::EachWish => "wish/*/*",
+        Pattern::EachProposal => "propose/*/*",
+        Pattern::Bridges => "bridge/*",
+        Pattern::ProposalsOf(operator) => {
+            return format!("{prefix}propose/{operator}/*");
+        }
+        Pattern::Commands(service) => {
+            return format!("{prefix}command/{service}/*/*");
+        }
+        Pattern::Everything => "**",
+        Pattern::One(Key::Foreign(key)) => return key.to_string(),
+        Pattern::One(key) => return format!("{prefix}{key}"),
+        Pattern::Foreign(pattern) => return pattern.to_string(),
+    };
+    format!("{prefix}{tail}")
 }
 
 fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {

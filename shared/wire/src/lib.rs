@@ -18,6 +18,7 @@ mod bytes;
 pub mod command;
 pub mod decode;
 pub mod envelope;
+pub mod fleets;
 pub mod foreign;
 pub mod history;
 pub mod json;
@@ -37,6 +38,7 @@ pub mod why;
 pub mod wish;
 
 pub use decode::DecodeError;
+pub use fleets::{FleetPattern, FleetPatternError};
 pub use foreign::{Attachment, ForeignKey, ForeignPattern};
 pub use key::{Key, KeySpace, Pattern};
 pub use message::Message;

@@ -218,6 +218,12 @@ impl ProcessConfig {
         self.as_mode(Mode::Client, connect, Vec::new())
     }
 
+    /// The same for another fleet.
+    #[must_use]
+    pub fn of_fleet(&self, fleet: FleetId) -> Self {
+        Self { fleet: Sourced { value: fleet, origin: Origin::Flag }, ..self.clone() }
+    }
+
     fn as_mode(&self, mode: Mode, connect: Vec<String>, listen: Vec<String>) -> Self {
         Self {
             mode: Sourced { value: mode, origin: Origin::Flag },

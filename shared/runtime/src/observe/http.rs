@@ -44,6 +44,21 @@ const CONNECTION_WITHIN: Duration = Duration::from_secs(10);
 /// again at once.
 const ACCEPT_AGAIN: Duration = Duration::from_millis(100);
 
+/// What a process shows at its port.
+pub(super) trait Shown: Send + Sync {
+    /// Whether it is alive, and the answer that says so.
+    fn healthz(&self) -> (bool, Value);
+
+    /// Whether it is ready, and the answer that says so.
+    fn readyz(&self) -> (bool, Value);
+
+    /// All metrics as text.
+    ///
+    /// # Errors
+    /// If a metric cannot be written, which none of ours is.
+    fn metrics(&self) -> Result<String, std::fmt::Error>;
+}
+
 /// An open port. It closes when this is let go of.
 #[derive(Debug)]
 pub(super) struct Port {
@@ -56,7 +71,7 @@ impl Port {
     ///
     /// # Errors
     /// If that is not possible; the text names the flag.
-    pub(super) fn open(address: SocketAddr, shared: Arc<Shared>) -> anyhow::Result<Self> {
+    pub(super) fn open(address: SocketAddr, shown: Arc<dyn Shown>) -> anyhow::Result<Self> {
         let fail = |error: std::io::Error| ExitError {
             exit: Exit::Failure,
             message: format!(
@@ -71,7 +86,7 @@ impl Port {
         let (closing, closed) = oneshot::channel();
         std::thread::Builder::new()
             .name("muster-http".to_owned())
-            .spawn(move || runtime.block_on(serve(listener, shared, closed)))
+            .spawn(move || runtime.block_on(serve(listener, shown, closed)))
             .context("cannot start the thread that serves --http")?;
         tracing::info!("serves /healthz, /readyz and /metrics at http://{address}");
         Ok(Self { address, _closing: closing })
@@ -85,7 +100,7 @@ impl Port {
 
 async fn serve(
     listener: TcpListener,
-    shared: Arc<Shared>,
+    shown: Arc<dyn Shown>,
     mut closed: oneshot::Receiver<Infallible>,
 ) {
     let listener = match tokio::net::TcpListener::from_std(listener) {
@@ -112,10 +127,10 @@ async fn serve(
         {
             oldest.abort();
         }
-        let shared = Arc::clone(&shared);
+        let shown = Arc::clone(&shown);
         open.push_back(tokio::spawn(async move {
             let service = service_fn(move |request| {
-                let answer = answer(&request, &shared);
+                let answer = answer(&request, &*shown);
                 async move { Ok::<_, Infallible>(answer) }
             });
             let connection = hyper::server::conn::http1::Builder::new()
@@ -133,53 +148,56 @@ async fn serve(
     }
 }
 
-fn answer(request: &Request<Incoming>, shared: &Shared) -> Response<Full<Bytes>> {
+fn answer(request: &Request<Incoming>, shown: &dyn Shown) -> Response<Full<Bytes>> {
     if !matches!(*request.method(), Method::GET | Method::HEAD) {
         let mut answer = text(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD\n".to_owned());
         answer.headers_mut().insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
         return answer;
     }
     match request.uri().path() {
-        "/healthz" => healthz(shared),
-        "/readyz" => readyz(shared),
-        "/metrics" => {
-            shared.watched.iter().for_each(|watched| watched.refresh());
-            match shared.metrics.text() {
-                Ok(all) => with_type(text(StatusCode::OK, all), metrics::CONTENT_TYPE),
-                Err(error) => {
-                    tracing::error!("the metrics cannot be written: {error}");
-                    text(StatusCode::INTERNAL_SERVER_ERROR, "no metrics\n".to_owned())
-                }
+        "/healthz" => json_answer(shown.healthz()),
+        "/readyz" => json_answer(shown.readyz()),
+        "/metrics" => match shown.metrics() {
+            Ok(all) => with_type(text(StatusCode::OK, all), metrics::CONTENT_TYPE),
+            Err(error) => {
+                tracing::error!("the metrics cannot be written: {error}");
+                text(StatusCode::INTERNAL_SERVER_ERROR, "no metrics\n".to_owned())
             }
-        }
+        },
         _ => text(StatusCode::NOT_FOUND, "there are /healthz, /readyz and /metrics\n".to_owned()),
     }
 }
 
-fn healthz(shared: &Shared) -> Response<Full<Bytes>> {
-    let alive = |_, look: &Look| {
-        let alive = health::is_alive(look);
-        let since = look.since_turn.map(|since| since.as_secs_f64());
-        (alive, json!({"alive": alive, "last_turn_s": since}))
-    };
-    let (mut all, mut answer) = answer_for_all(shared, "alive", alive);
-    if let Some(since) = shared.since_router_turned() {
-        let runs = health::loop_runs(Some(since));
-        all &= runs;
-        answer["alive"] = all.into();
-        answer["router"] = json!({"alive": runs, "last_turn_s": since.as_secs_f64()});
+impl Shown for Shared {
+    fn healthz(&self) -> (bool, Value) {
+        let alive = |_, look: &Look| {
+            let alive = health::is_alive(look);
+            let since = look.since_turn.map(|since| since.as_secs_f64());
+            (alive, json!({"alive": alive, "last_turn_s": since}))
+        };
+        let (mut all, mut answer) = answer_for_all(self, "alive", alive);
+        if let Some(since) = self.since_router_turned() {
+            let runs = health::loop_runs(Some(since));
+            all &= runs;
+            answer["alive"] = all.into();
+            answer["router"] = json!({"alive": runs, "last_turn_s": since.as_secs_f64()});
+        }
+        (all, answer)
     }
-    json_answer(all, &answer)
-}
 
-fn readyz(shared: &Shared) -> Response<Full<Bytes>> {
-    let ready = |service, look: &Look| {
-        let reasons = health::reasons(service, look);
-        let (ready, standing) = (reasons.is_empty(), look.standing);
-        (ready, json!({"ready": ready, "standing": standing, "reasons": reasons}))
-    };
-    let (all, answer) = answer_for_all(shared, "ready", ready);
-    json_answer(all, &answer)
+    fn readyz(&self) -> (bool, Value) {
+        let ready = |service, look: &Look| {
+            let reasons = health::reasons(service, look);
+            let (ready, standing) = (reasons.is_empty(), look.standing);
+            (ready, json!({"ready": ready, "standing": standing, "reasons": reasons}))
+        };
+        answer_for_all(self, "ready", ready)
+    }
+
+    fn metrics(&self) -> Result<String, std::fmt::Error> {
+        self.watched.iter().for_each(|watched| watched.refresh());
+        self.metrics.text()
+    }
 }
 
 /// Whether all services are good, and the answer with their states, which says so under `name`.
@@ -198,7 +216,7 @@ fn answer_for_all(
     (all, json!({name: all, "services": services}))
 }
 
-fn json_answer(good: bool, value: &Value) -> Response<Full<Bytes>> {
+fn json_answer((good, value): (bool, Value)) -> Response<Full<Bytes>> {
     let status = if good { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
     with_type(text(status, format!("{value}\n")), "application/json")
 }

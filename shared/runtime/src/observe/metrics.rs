@@ -210,10 +210,7 @@ impl Metrics {
     pub(super) fn new(fleet: &FleetId) -> Self {
         let fleet = ("fleet".into(), fleet.as_str().to_owned().into());
         let mut registry = Registry::with_prefix_and_labels("muster", [fleet].into_iter());
-        let build = Info::new([("version", env!("CARGO_PKG_VERSION"))]);
-        registry.register("build", "The version of the program", build);
-        let mut process = Registry::with_prefix("process");
-        process.register_collector(Box::new(ProcessCollector::new()));
+        register_build(&mut registry);
         let counted = Counted::default();
         registry.register_collector(Box::new(counted.clone()));
         let to = &mut registry;
@@ -295,7 +292,7 @@ impl Metrics {
             ),
             results: Results::new(to),
             counted,
-            process,
+            process: process(),
             registry,
         }
     }
@@ -311,6 +308,33 @@ impl Metrics {
         encode_eof(&mut text)?;
         Ok(text)
     }
+
+    /// The metrics of the fleet alone, as a part of a text.
+    ///
+    /// # Errors
+    /// If a metric cannot be written, which none of ours is.
+    pub(super) fn of_fleet(&self) -> Result<String, std::fmt::Error> {
+        let mut text = String::new();
+        encode_registry(&mut text, &self.registry)?;
+        Ok(text)
+    }
+}
+
+/// What every process has.
+fn process() -> Registry {
+    let mut process = Registry::with_prefix("process");
+    process.register_collector(Box::new(ProcessCollector::new()));
+    process
+}
+
+fn register_build(to: &mut Registry) {
+    let build = Info::new([("version", env!("CARGO_PKG_VERSION"))]);
+    to.register("build", "The version of the program", build);
+}
+
+/// What a process of many fleets counts by itself, without a fleet as a label, and what every process has.
+pub(super) fn of_process() -> (Registry, Registry) {
+    (Registry::with_prefix("muster"), process())
 }
 
 /// The labels of a service.

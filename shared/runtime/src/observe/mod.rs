@@ -1,11 +1,13 @@
 //! What can be seen of a process from outside of the bus: health, readiness and metrics over HTTP.
 //!
-//! An [`Observatory`] belongs to a process and owns the port, if one is asked for; each service has an
+//! An [`Observatory`] belongs to a process and owns the port, if one is asked for, a [`FleetsObservatory`] to one that
+//! serves many fleets; each service has an
 //! [`Observer`], to which its shell reports what happens. The cores know nothing of it: what is measured is
 //! what the shell sees pass, and the [`muster_model::status::ServiceStatus`] that every core has
 //! anyway. The port is served by a thread of its own, so that it answers when everything else hangs.
 
 mod counted;
+mod fleets;
 mod health;
 mod http;
 mod metrics;
@@ -16,6 +18,7 @@ use std::sync::Arc;
 
 use muster_model::id::ServiceName;
 
+pub use self::fleets::FleetsObservatory;
 use self::metrics::Metrics;
 pub use self::observer::{Observer, Queues};
 use self::observer::{Shared, Watched};
@@ -43,7 +46,7 @@ impl Observatory {
             services.iter().map(|service| Arc::new(Watched::new(*service, &metrics))).collect();
         let shared = Arc::new(Shared::new(metrics, watched));
         let port = match config.http.value {
-            Some(address) => Some(http::Port::open(address, Arc::clone(&shared))?),
+            Some(address) => Some(http::Port::open(address, Arc::clone(&shared) as _)?),
             None => None,
         };
         Ok(Self { shared, port })

@@ -81,8 +81,9 @@ pub(crate) fn options<C: Core>(settings: C::Settings) -> ServiceOptions<C::Setti
         settings,
         records: Some(RecordOptions { place, open }),
         store: Store::new(None, &fleet, C::SERVICE),
-        kept: KeptStore::new(None, &fleet, C::SERVICE),
+        kept: KeptStore::new(None, &fleet, C::SERVICE, C::WITHOUT_KEPT),
         record: None,
+        pool: None,
         observer: observer::<C>(),
     }
 }

@@ -65,7 +65,7 @@ pub(in crate::doctor) fn unannounced(
     programs: &RosPrograms,
     routers: &[RouterState],
 ) -> Option<Finding> {
-    // A router that tells its links, and has no two peers, keeps nobody apart.
+    // A router that says its links, and has no two peers, keeps no programs apart.
     let known = routers.iter().find(|router| router.id == id);
     let keeps_apart = known.is_none_or(|router| router.peers >= TWO);
     if !programs.several() || !keeps_apart {
@@ -212,8 +212,8 @@ mod tests {
     }
 
     #[test]
-    fn only_a_version_that_is_told_is_called_old() {
-        assert!(old_routers(&[]).is_none(), "nobody tells");
+    fn only_a_version_that_is_known_is_called_old() {
+        assert!(old_routers(&[]).is_none(), "no router says its version");
         let router = |version: &str| RouterState {
             id: version.to_owned(),
             version: version.to_owned(),

@@ -1,0 +1,153 @@
+//! Puts by declared keys, for those who put to the same keys of robots again and again.
+
+use std::collections::HashMap;
+use std::time::{Duration, Instant};
+
+use muster_wire::{Attachment, Key, Outbound, Packet};
+use zenoh::Wait;
+use zenoh::key_expr::KeyExpr;
+
+use crate::bus::{Bus, Urgency, priority_of};
+
+/// Most keys that one session declares; those beyond are put by their text. A program that plays 10,000 robots has 40,000.
+const MAX_DECLARED: usize = 65_536;
+
+/// How long a key stays declared that nothing is put to: a robot that is back within this time costs its router nothing, and
+/// those that came once and went leave nothing there.
+const UNUSED_TIME: Duration = Duration::from_secs(600);
+
+/// How often unused keys are looked for.
+const SWEEP_INTERVAL: Duration = Duration::from_secs(60);
+
+/// Puts to keys of robots that are declared when something is first put to them, and to all others by their text.
+///
+/// A router that receives a message under the text of a robot's key compares it with the keys of every robot, three times for
+/// each message (`Resource::get_matches` of Zenoh 1.10.2). A declared one it has compared once.
+///
+/// Only the keys are declared, no publishers: by each of those a session asks its router who subscribes, and the router goes
+/// through the questions of all sessions for each new subscription, and through all subscriptions for each new question. Where
+/// thousands of robots join, that is most of what it computes. The services subscribe to all that robots put, and robots to
+/// their team, so that nothing is gained by knowing.
+#[derive(Debug)]
+pub struct DeclaredKeys {
+    bus: Bus,
+    declared: HashMap<String, Declared>,
+    swept: Instant,
+}
+
+#[derive(Debug)]
+struct Declared {
+    key: KeyExpr<'static>,
+    used: Instant,
+}
+
+impl Clone for DeclaredKeys {
+    /// Puts on the same bus, and declares for itself.
+    fn clone(&self) -> Self {
+        Self::new(self.bus.clone())
+    }
+}
+
+impl DeclaredKeys {
+    /// No key is declared.
+    #[must_use]
+    pub fn new(bus: Bus) -> Self {
+        Self { bus, declared: HashMap::new(), swept: Instant::now() }
+    }
+
+    /// Puts a message. May wait for a busy link, as long as the configuration allows.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub fn put(&mut self, message: Outbound) -> anyhow::Result<()> {
+        self.put_packet(message.into_packet(&self.bus.space), Urgency::Normal)
+    }
+
+    /// Puts a packet on the bus, as [`Bus::put_packet`] does.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub fn put_packet(&mut self, packet: Packet, urgency: Urgency) -> anyhow::Result<()> {
+        let now = Instant::now();
+        self.sweep(now);
+        // A bus that many fleets share has keys of its own.
+        let is_shared = self.bus.participant.is_some();
+        let declared = if is_shared { None } else { self.declared(&packet.key, now)? };
+        let Some(declared) = declared else { return self.bus.put_packet(packet, urgency) };
+        let Packet { key, encoding, payload, attachment, .. } = packet;
+        self.bus
+            .session
+            .put(declared, payload.unwrap_or_default())
+            .encoding(encoding.as_str())
+            .attachment(attachment.map(Attachment::into_bytes))
+            .priority(priority_of(urgency))
+            .wait()
+            .map_err(|error| anyhow::anyhow!("cannot put to {key}: {error}"))
+    }
+
+    /// The declared form of a key. One of a robot is declared now, if there is room; others have none.
+    fn declared(&mut self, text: &str, now: Instant) -> anyhow::Result<Option<KeyExpr<'static>>> {
+        if let Some(declared) = self.declared.get_mut(text) {
+            declared.used = now;
+            return Ok(Some(declared.key.clone()));
+        }
+        let key = self.bus.space.parse(text);
+        let is_of_robot = matches!(key, Ok(Key::Stream(..) | Key::RobotTeam(_)));
+        if !is_of_robot || self.declared.len() >= MAX_DECLARED {
+            return Ok(None);
+        }
+        let key = self.bus.session.declare_keyexpr(text.to_owned()).wait();
+        let key = key.map_err(|error| anyhow::anyhow!("cannot declare {text}: {error}"))?;
+        self.declared.insert(text.to_owned(), Declared { key: key.clone(), used: now });
+        Ok(Some(key))
+    }
+
+    /// Takes back what nothing was put to for long.
+    fn sweep(&mut self, now: Instant) {
+        if now.duration_since(self.swept) < SWEEP_INTERVAL {
+            return;
+        }
+        self.swept = now;
+        let is_unused = |declared: &Declared| now.duration_since(declared.used) >= UNUSED_TIME;
+        for (text, declared) in self.declared.extract_if(|_, declared| is_unused(declared)) {
+            if let Err(error) = self.bus.session.undeclare(declared.key).wait() {
+                tracing::debug!("cannot take {text} back: {error}");
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+mod tests {
+    use muster_model::id::FleetId;
+
+    use super::*;
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn keys_of_robots_are_declared_for_as_long_as_they_are_used() {
+        let mut config = zenoh::Config::default();
+        for (key, value) in [("scouting/multicast/enabled", "false"), ("listen/endpoints", "[]")] {
+            config.insert_json5(key, value).unwrap();
+        }
+        let session = zenoh::open(config).await.unwrap();
+        let bus = Bus::on_session(session, FleetId::new("f").unwrap()).await.unwrap();
+        let mut keys = DeclaredKeys::new(bus);
+        let now = Instant::now();
+        for (key, is_declared) in [
+            ("muster/v1/f/robot/r1/pose", true),
+            ("muster/v1/f/robot/r1/team", true),
+            ("muster/v1/f/teams", false),
+            ("muster/v1/f/command/clusterer/kim/c1", false),
+            ("rt/odom", false),
+        ] {
+            assert_eq!(keys.declared(key, now).unwrap().is_some(), is_declared, "{key}");
+        }
+        let used = now + SWEEP_INTERVAL;
+        assert!(keys.declared("muster/v1/f/robot/r1/pose", used).unwrap().is_some());
+        keys.sweep(now + UNUSED_TIME);
+        assert!(keys.declared.keys().eq(["muster/v1/f/robot/r1/pose"]));
+        keys.sweep(used + UNUSED_TIME);
+        assert!(keys.declared.is_empty());
+    }
+}
