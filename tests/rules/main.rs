@@ -68,6 +68,20 @@ fn experiments_are_built_without_bus_and_shell_but_for_the_physical_case() {
     assert!(dependencies("muster-experiments", &[]).contains("zenoh"));
 }
 
+/// `cargo run --release -- demo` builds the default members alone, and what they need.
+#[test]
+fn the_demo_builds_neither_the_bridge_nor_the_viewers_server() {
+    let manifest = include_str!("../../Cargo.toml");
+    assert!(manifest.contains("default-members = [\"services/muster\"]"));
+    let all = dependencies("muster", &[]);
+    for forbidden in ["muster-ros2", "muster-foxglove", "foxglove", "mcap"] {
+        assert!(!all.contains(forbidden), "the demo builds {forbidden}");
+    }
+    // The same look finds them where they belong, so that it would see them.
+    let viewers = dependencies("muster-foxglove", &[]);
+    assert!(["foxglove", "mcap"].iter().all(|package| viewers.contains(*package)));
+}
+
 #[test]
 fn no_service_imports_another() {
     for service in SERVICES {
@@ -144,8 +158,14 @@ fn a_robot_takes_the_bus_and_nothing_of_our_programs() {
 #[test]
 fn the_console_talks_to_a_fleet_through_the_client_alone() {
     // What runs services or a router, and the probe of a router that opens no session.
-    const WITH_A_BUS: [&str; 5] =
-        ["/up.rs", "/demo.rs", "/router.rs", "/doctor/mod.rs", "/doctor/findings/router.rs"];
+    const WITH_A_BUS: [&str; 6] = [
+        "/up.rs",
+        "/fleets.rs",
+        "/demo.rs",
+        "/router.rs",
+        "/doctor/mod.rs",
+        "/doctor/findings/router.rs",
+    ];
     const BUS: [&str; 5] = [
         "muster_bus",
         "muster_runtime::bus",

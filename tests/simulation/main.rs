@@ -42,6 +42,7 @@ fn batch(first: u64, seeds: u64) -> Batch {
         seeds,
         jobs: std::thread::available_parallelism().map_or(1, usize::from),
         options: Options::default(),
+        having: None,
         mutant: None,
         shrink_within: Duration::from_secs(30),
     }
@@ -95,6 +96,21 @@ fn every_promise_holds_for_three_hundred_seeds() {
         "proposal",
         "many proposals",
         "proposal at rest",
+        "bridge killed",
+        "bridge hangs",
+        "bridge cut off",
+        "bridge cut off silently",
+        "bridge in bad weather",
+        "ROS cut off",
+        "ROS in bad weather",
+        "ROS robot restarts",
+        "ROS robot leaves",
+        "transforms pause",
+        "transforms stop",
+        "second publisher",
+        "clock of ROS set",
+        "rank change in ROS",
+        "rubbish in ROS",
     ] {
         let count = summary.total.faults.get(kind).copied().unwrap_or(0);
         assert!(count > 0, "no fault of the kind {kind:?} has happened");
@@ -102,18 +118,19 @@ fn every_promise_holds_for_three_hundred_seeds() {
     let total = &summary.total;
     assert!(total.lost > 0 && total.repeated > 0 && total.mixed > 0 && total.panics > 0);
     // Rules that never had anything to check would prove nothing either.
+    assert!(total.bridged > SEEDS * 10 && total.scenes > SEEDS * 100, "{}", summary.text());
     assert!(total.takeovers > 0 && total.joined > SEEDS, "{}", summary.text());
     assert!(total.proposals > 100 && total.proposals_refused > 10, "{total:?}");
     assert!(total.proposals_compared > 20, "{total:?}");
     assert!(total.events > SEEDS * 2000, "{}", total.events);
 }
 
-/// How many of the fresh seeds may break a promise. Of the last 7,000 nine did, each with a cause of its own, and eight hold now.
-/// 120006857 does not: the judge compares the first division after other wishes, which was begun before them, with the next one.
+/// How many of the fresh seeds may break a promise: about one in two thousand still does, each with a cause of its own. Those that
+/// were found hold now.
 const KNOWN_FAILURES: usize = 1;
 
 /// Seeds that broke a promise once, and what it was.
-const ONCE_BROKEN: [(u64, &str); 12] = [
+const ONCE_BROKEN: [(u64, &str); 29] = [
     (85_000_861, "a standby never received the settings of its leader, and led with its own"),
     (85_001_035, "the last division was none that is found again from itself"),
     (85_002_256, "the evidence took a team away while nothing satisfied the limits"),
@@ -136,6 +153,53 @@ const ONCE_BROKEN: [(u64, &str); 12] = [
     (
         120_002_741,
         "a change was lost that a leader had confirmed just before its link was cut, and whose outcome had arrived",
+    ),
+    (
+        120_006_857,
+        "a wish that began to count with a division was taken for no change of what the next one rests on",
+    ),
+    (
+        130_000_195,
+        "an embedder that knew no embedding of before chose another number of teams that was hardly worse",
+    ),
+    (131_000_739, "a change counted as confirmed whose answer came after all disks were lost"),
+    (131_000_885, "a conflict that another leader had reported was to be reported again"),
+    (
+        131_001_713,
+        "the power was cut while orders were still new to an embedder that had learned of them late",
+    ),
+    (
+        150_000_371,
+        "an outcome from before the settings on its disk changed those of a standby that took over",
+    ),
+    (
+        160_000_135,
+        "the lease renewal of one leader took the place of that of another one, as both have one key",
+    ),
+    (160_001_793, "robots of a division before a restart were awaited though all of them had left"),
+    (160_001_973, "viewers believed services without state only after two stale times"),
+    (
+        160_004_497,
+        "the last wish was withdrawn while nothing could be published, and nothing said so afterwards",
+    ),
+    (160_008_335, "what a leader had confirmed was said once to another one, and lost"),
+    (
+        160_011_335,
+        "a change counted as lasting that a leader had confirmed while one of a higher term led",
+    ),
+    (160_012_326, "fewer teams were asked for than could be formed anyway, which changes no team"),
+    (
+        160_012_601,
+        "a confirmed change was refused by a clusterer that knew no robots yet as it took over",
+    ),
+    (
+        180_001_901,
+        "a wish was lost that a leader had confirmed just before it was killed, and a standby still answered with it",
+    ),
+    (180_002_565, "a leader forgot the term that a reader had known when it asked once more"),
+    (
+        190_000_017,
+        "a change that one leader had confirmed was not taken over by another one whose clock had made it refuse it",
     ),
     (
         179_549_396_280,
@@ -227,6 +291,20 @@ fn proposals_are_forgotten() {
         let outcome = simulate(seed, &Options { only, ..options.clone() }, None, false);
         assert_eq!(outcome.failure, None, "seed {seed}");
         assert!(outcome.stats.proposals > 0, "seed {seed}");
+    }
+}
+
+/// Topics of robots of ROS that have left, and of robots that never were, are forgotten, in runs that outlast them.
+#[test]
+fn topics_of_robots_of_ros_that_are_gone_are_forgotten() {
+    let gone = ["ROS robot leaves", "rubbish in ROS"];
+    let seeds =
+        (0..500).filter(|seed| gone.iter().all(|kind| has_fault(*seed, &FORGETFUL, &[kind])));
+    for seed in seeds.take(2) {
+        let only = Some(fault_numbers(seed, &FORGETFUL, &gone));
+        let outcome = simulate(seed, &Options { only, ..FORGETFUL }, None, false);
+        assert_eq!(outcome.failure, None, "seed {seed}");
+        assert!(outcome.stats.bridged > 0 && outcome.stats.simulated > 90_000_000, "seed {seed}");
     }
 }
 
@@ -344,6 +422,27 @@ fn every_mutant_is_found_and_its_run_made_short() {
         (Mutant::Reversed, vec!["every event about teams is the difference of two divisions"]),
         (Mutant::Misled, vec!["browsers that draw show the division that all agree on"]),
         (Mutant::Dependent, vec![settle, "a full disk stops no division"]),
+        (Mutant::Unmoved, vec!["a robot of ROS is where its newest transforms put it"]),
+        (Mutant::Inert, vec!["what a bridge puts for a robot is in the order of its publisher"]),
+        (Mutant::Nostalgia, vec!["ROS is never shown an older division after a newer one"]),
+        (Mutant::Absent, vec!["a bridge that starts again puts each robot within 3 s"]),
+        (Mutant::Retentive, vec!["the memory of a bridge is bounded"]),
+        (Mutant::Secretive, vec!["a robot of ROS that is not taken is named with its reason"]),
+        (Mutant::Wasteful, vec!["nothing is made that no viewer watches"]),
+        (
+            Mutant::Blinded,
+            vec!["viewers that read show the division that all agree on, and lost robots grey"],
+        ),
+        (
+            Mutant::Garish,
+            vec!["viewers that read show the division that all agree on, and lost robots grey"],
+        ),
+        (Mutant::Wishful, vec!["parameters are shown as services confirmed them"]),
+        (Mutant::Curt, vec!["a change that is refused is reported with its reason"]),
+        (
+            Mutant::Wordy,
+            vec!["a viewer that reads misses nothing", "a topic has at most ten scenes a second"],
+        ),
         // Readers refuse a list in which an alert stands twice.
         (Mutant::Doubled, vec!["what a service publishes, others understand"]),
         (Mutant::Meddling, vec!["a planner publishes nothing that others go by"]),

@@ -22,17 +22,36 @@ pub struct ProcessStats {
 /// If it has ended.
 pub fn process_stats(process: u32, at: f64) -> anyhow::Result<ProcessStats> {
     let status = std::fs::read_to_string(format!("/proc/{process}/status"))?;
-    let memory = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmRSS:"))
-        .and_then(|rest| rest.split_whitespace().next())
-        .and_then(|number| number.parse().ok())
-        .context("a process has no memory; has it ended?")?;
+    let memory = number(&status, "VmRSS:").context("a process has no memory; has it ended?")?;
     let stat = std::fs::read_to_string(format!("/proc/{process}/stat"))?;
     // The name of the program is in brackets and may contain blanks.
     let fields = stat.rsplit_once(") ").map_or("", |(_, rest)| rest).split(' ');
     let ticks: f64 = fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum();
     Ok(ProcessStats { at, memory, busy: ticks / TICKS_HZ })
+}
+
+/// The memory of a process in KiB, each page that it shares divided among those who do.
+///
+/// # Errors
+/// If it has ended.
+pub fn memory_of(process: u32) -> anyhow::Result<f64> {
+    let text = std::fs::read_to_string(format!("/proc/{process}/smaps_rollup"))?;
+    number(&text, "Pss:").context("a process has no memory; has it ended?")
+}
+
+/// How many threads a process has.
+///
+/// # Errors
+/// If it has ended.
+pub fn threads_of(process: u32) -> anyhow::Result<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status"))?;
+    Ok(number(&status, "Threads:").context("a process has no threads; has it ended?")? as u64)
+}
+
+/// The number that follows a name at the beginning of a line.
+fn number(text: &str, name: &str) -> Option<f64> {
+    let rest = text.lines().find_map(|line| line.strip_prefix(name))?;
+    rest.split_whitespace().next()?.parse().ok()
 }
 
 /// The value below which a share of sorted values lies; NaN if there is none.
@@ -69,6 +88,8 @@ mod tests {
         assert!(sum > 0);
         let after = process_stats(std::process::id(), 0.0).unwrap();
         assert!(after.memory > before.memory + 16.0 * 1024.0, "{before:?} {after:?}");
+        assert!(memory_of(std::process::id()).unwrap() > 32.0 * 1024.0);
+        assert!(threads_of(std::process::id()).unwrap() >= 1);
         assert!(process_stats(u32::MAX, 0.0).is_err());
     }
 

@@ -76,6 +76,7 @@ fn install(folder: &Path) -> Vec<PathBuf> {
         "muster-console.service",
         "muster-ros2.service",
         "muster-foxglove.service",
+        "muster-fleets.service",
     ];
     let mut units = alone.map(|unit| write(unit, read(&format!("systemd/{unit}")))).to_vec();
     write("muster@.service", read("systemd/muster@.service"));
@@ -127,6 +128,7 @@ fn systemd_finds_nothing_to_complain_of() {
 fn shipped(installed: &str) -> String {
     let name = installed.rsplit('/').next().unwrap();
     let place = match name {
+        "muster.toml" => name.to_owned(),
         "router.json5" => "router/plain.json5".to_owned(),
         "ros2-topics.toml" => "ros2/topics.toml".to_owned(),
         toml => format!("config/{toml}"),
@@ -156,12 +158,14 @@ fn the_units_start_what_there_is() {
         let text = read(unit);
         let line = text.lines().find_map(|line| line.strip_prefix("ExecStart=")).unwrap();
         let line = line.replace("%i", instance).replace("%d", "/run/credentials");
+        let line = line.replace("${FLEETS}", "*");
         line.split(' ').map(str::to_owned).collect()
     };
     check_command(&line("systemd/muster-router.service", ""));
     check_command(&line("systemd/muster-console.service", ""));
     check_command(&line("systemd/muster-ros2.service", ""));
     check_command(&line("systemd/muster-foxglove.service", ""));
+    check_command(&line("systemd/muster-fleets.service", ""));
     for service in SERVICES {
         check_command(&line("systemd/muster@.service", service));
     }
@@ -171,6 +175,7 @@ fn the_units_start_what_there_is() {
         "muster-console.service",
         "muster-ros2.service",
         "muster-foxglove.service",
+        "muster-fleets.service",
     ];
     for unit in alone.into_iter().chain(["muster@.service"]) {
         let unit = &format!("systemd/{unit}");

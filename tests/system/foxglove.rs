@@ -133,8 +133,9 @@ async fn foxglove_shows_and_changes_a_fleet_in_a_client_of_others() {
             ["poses"] => poses(&put),
             ["teams"] => teams(&divisions),
             // Any command is an event.
-            ["event"] => {
-                let (code, _, err) = cluster.muster(&["set", "auditor", "good=0.49"]).unwrap();
+            ["event", number] => {
+                let change = format!("good=0.4{number}");
+                let (code, _, err) = cluster.muster(&["set", "auditor", &change]).unwrap();
                 assert_eq!(code, Some(0), "{err}");
                 Value::Null
             }

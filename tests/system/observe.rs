@@ -30,7 +30,7 @@ pub(crate) fn get(address: &str, path: &str) -> Option<(u16, String)> {
     Some((code, answer.split_once("\r\n\r\n")?.1.to_owned()))
 }
 
-fn until(what: &str, right: impl Fn() -> bool) {
+pub(crate) fn until(what: &str, right: impl Fn() -> bool) {
     let start = Instant::now();
     while !right() {
         assert!(start.elapsed() < SOON, "not within {SOON:?}: {what}");
@@ -38,13 +38,13 @@ fn until(what: &str, right: impl Fn() -> bool) {
     }
 }
 
-fn is(address: &str, path: &str, code: u16) -> bool {
+pub(crate) fn is(address: &str, path: &str, code: u16) -> bool {
     get(address, path).is_some_and(|(is, _)| is == code)
 }
 
 /// Every sample of `/metrics` by name and labels, as Prometheus' own Python client reads them. It
 /// refuses what the format does not allow.
-fn samples(address: &str) -> BTreeMap<(String, BTreeMap<String, String>), f64> {
+pub(crate) fn samples(address: &str) -> BTreeMap<(String, BTreeMap<String, String>), f64> {
     let (code, text) = get(address, "/metrics").unwrap();
     assert_eq!(code, 200);
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -69,10 +69,10 @@ fn samples(address: &str) -> BTreeMap<(String, BTreeMap<String, String>), f64> {
     all.collect()
 }
 
-type Samples = BTreeMap<(String, BTreeMap<String, String>), f64>;
+pub(crate) type Samples = BTreeMap<(String, BTreeMap<String, String>), f64>;
 
 /// The value of a metric with some of its labels.
-fn value(samples: &Samples, name: &str, labels: &[(&str, &str)]) -> Option<f64> {
+pub(crate) fn value(samples: &Samples, name: &str, labels: &[(&str, &str)]) -> Option<f64> {
     let right = |of: &BTreeMap<String, String>| {
         labels.iter().all(|(label, value)| of.get(*label).is_some_and(|is| is == value))
     };

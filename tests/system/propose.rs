@@ -2,7 +2,7 @@
 //! dropped; what does not work is refused; and the live division waits for no proposal.
 
 use std::collections::BTreeMap;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use muster_tests::access::Security;
 use muster_tests::client::{Client, Watch, division};
@@ -13,6 +13,8 @@ use crate::pipeline::{formed, groups, truth};
 
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "3", "--robots", "12"];
 const SOON: Duration = Duration::from_secs(20);
+/// How long a division at rest stands: `dwell_s`, after which a pending change counts, several times.
+const STANDS: Duration = Duration::from_secs(3);
 
 type Division = BTreeMap<String, Option<String>>;
 
@@ -46,7 +48,7 @@ fn proposed(proposal: &Value) -> Division {
     all
 }
 
-/// The live division, once it has so many teams and has stood for some publications.
+/// The live division, once it has so many teams and has stood long enough that no change of it is pending.
 async fn at_rest(watch: &Watch, teams: usize) -> Division {
     let has = |value: &Value| {
         let division = division(value);
@@ -55,11 +57,13 @@ async fn at_rest(watch: &Watch, teams: usize) -> Division {
             && groups(division).len() == teams
     };
     let mut last = division(&watch.until("the teams", SOON, has).await.unwrap());
-    let mut same = 0;
-    while same < 4 {
+    let mut since = Instant::now();
+    while since.elapsed() < STANDS {
         watch.clear();
         let next = division(&watch.until("the teams again", SOON, has).await.unwrap());
-        same = if next == last { same + 1 } else { 0 };
+        if next != last {
+            since = Instant::now();
+        }
         last = next;
     }
     last

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use muster_tests::access::{BRIDGE, Security};
-use muster_tests::client::{division, is_event_of_robots, robots_of_event};
+use muster_tests::client::{Client, division, is_event_of_robots, robots_of_event};
 use muster_tests::cluster::{Cluster, ClusterOptions};
 use muster_tests::process::{Process, python, run};
 use serde_json::Value;
@@ -458,6 +458,30 @@ async fn programs_of_ros_reach_each_other_at_a_router_for_ros_alone() {
     let up = ["up", "--router", "--with", "ros2", "--no-console", "--state-directory", "none"];
     assert!(peers_reach_each_other(&up).await);
     assert!(!peers_reach_each_other(&["router"]).await, "then the flag would be of no use");
+}
+
+/// One command is a router, the services and the bridge, for robots that are programs of ROS.
+#[tokio::test(flavor = "multi_thread")]
+async fn robots_of_ros_are_divided_by_one_command() {
+    let endpoint = muster_tests::cluster::free_endpoint().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let up = ["up", "--router", "--listen", &endpoint, "--fleet", "alpha", "--with", "ros2"];
+    let quiet = ["--no-console", "--state-directory", "none", "--set", "clusterer.teams=2"];
+    // The bridge takes its flags from the command, and its topics from the environment.
+    std::fs::write(folder.path().join("ros2.toml"), "[frames]\nmax_age_s = 10.0\n").unwrap();
+    let topics = folder.path().join("ros2.toml");
+    let environment = [("MUSTER_ROS2_TOPICS", topics.to_str().unwrap())];
+    let arguments = [&up[..], &quiet].concat();
+    let mut up = Process::start("muster", &arguments, &environment, folder.path()).unwrap();
+    up.until_prints("router listens at", SOON).unwrap();
+    let client = Client::connect(&endpoint, "alpha").await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+    let mut console = start_peer(folder.path(), &endpoint, "console", &["r1", "s1"]);
+    let _robots = start_peer(folder.path(), &endpoint, "robots", &PAIRS);
+    teams.until("two teams of robots of ROS", SOON, are_pairs).await.unwrap();
+    printed(&mut console, "team", |value| value["robot"] == "r1").await;
+    up.signal("TERM").unwrap();
+    assert!(up.wait(SOON).unwrap().success(), "{}", up.output());
 }
 
 #[test]

@@ -1,6 +1,6 @@
-//! The division that is kept over a restart.
+//! What clusterer and embedder keep over a restart.
 
-use muster_wire::kept::{KeptTeams, MAGIC, VERSION};
+use muster_wire::kept::{KeptShape, KeptTeams, MAGIC, SHAPE_MAGIC, SHAPE_VERSION, VERSION};
 
 use crate::packets::may_hold;
 use crate::{Outcome, allocation, text};
@@ -10,9 +10,12 @@ const MAX_PROBLEM: usize = 400;
 
 /// The content of a file. Its length and checksum are made right: they would keep back almost all that is drawn.
 pub(crate) fn kept(data: &[u8]) -> Outcome {
-    let length = u32::try_from(data.len()).unwrap().to_le_bytes();
-    let mut file = [&MAGIC[..], &[VERSION], &length, &checksum(data)].concat();
-    file.extend(data);
+    let shape = KeptShape::decode(&file(SHAPE_MAGIC, SHAPE_VERSION, data));
+    assert_eq!(shape.is_ok(), data.len() == 8);
+    if let Ok(shape) = shape {
+        assert_eq!(KeptShape::decode(&shape.encode().unwrap()), Ok(shape));
+    }
+    let file = file(MAGIC, VERSION, data);
     let size = may_hold(file.len());
     match allocation::at_most(size, "reading what is kept", || KeptTeams::decode(&file)) {
         Ok(kept) => {
@@ -25,6 +28,14 @@ pub(crate) fn kept(data: &[u8]) -> Outcome {
             Outcome::Refused
         }
     }
+}
+
+/// The file of a content.
+fn file(magic: [u8; 8], version: u8, data: &[u8]) -> Vec<u8> {
+    let length = u32::try_from(data.len()).unwrap().to_le_bytes();
+    let mut file = [&magic[..], &[version], &length, &checksum(data)].concat();
+    file.extend(data);
+    file
 }
 
 /// FNV-1a, folded to four bytes.

@@ -1,4 +1,4 @@
-//! Measures what `muster-ros2` takes for a fleet of ROS, and how long a pose takes until its robot is told its team there.
+//! Measures what `muster-ros2` takes for a fleet of ROS, and how long a pose takes until its robot receives its team there.
 //! `ros-load --help` has the flags; `tests/peers/ros-load` builds and runs it in release.
 //!
 //! It ends with 1 if a goal is missed.

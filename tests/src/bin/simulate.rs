@@ -40,6 +40,9 @@ struct Args {
     /// Of all faults of the seed, only those with these numbers, such as 3,17; or none
     #[arg(long, value_parser = numbers)]
     only: Option<Numbers>,
+    /// Of the seeds, only those in which a fault of this kind happens, such as "bridge killed"
+    #[arg(long, conflicts_with = "seed")]
+    having: Option<String>,
     /// How many robots appear in every second in addition to the faults of the seed, and report only once
     #[arg(long, default_value_t = 0)]
     ghosts: usize,
@@ -116,6 +119,7 @@ fn batch(args: &Args, options: Options) -> anyhow::Result<bool> {
         seeds: args.seeds,
         jobs: args.jobs.unwrap_or(processors),
         options,
+        having: args.having.clone(),
         mutant: None,
         shrink_within: Duration::from_secs(args.shrink_s),
     };

@@ -17,7 +17,7 @@ const NAMES: &str = "/run/netns";
 const PREFIX: &str = "muster-hosts-";
 
 /// How the one link of a host is called there.
-const LINK: &str = "cable";
+pub(super) const LINK: &str = "cable";
 
 /// The rights that hosts take, by the kernel's numbers: `CAP_NET_ADMIN` for links, `CAP_SYS_ADMIN` for
 /// namespaces.

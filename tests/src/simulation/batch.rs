@@ -7,7 +7,7 @@ use std::sync::PoisonError;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use super::{Effort, Mutant, Options, Outcome, Stats, in_ticks, shrink, simulate};
+use super::{Effort, Mutant, Options, Outcome, Stats, has_fault, in_ticks, shrink, simulate};
 
 /// Most lines of a failing run that are printed; the command that replays it prints them all.
 const MAX_PRINTED: usize = 160;
@@ -23,6 +23,8 @@ pub struct Batch {
     pub jobs: usize,
     /// How each run is to be.
     pub options: Options,
+    /// The kind of a fault without which a seed is left out.
+    pub having: Option<String>,
     /// What is broken on purpose.
     pub mutant: Option<Mutant>,
     /// How long a failing run may be shortened.
@@ -59,6 +61,8 @@ impl Summary {
         total.proposals += stats.proposals;
         total.proposals_refused += stats.proposals_refused;
         total.proposals_compared += stats.proposals_compared;
+        total.bridged += stats.bridged;
+        total.scenes += stats.scenes;
         total.remembered = total.remembered.max(stats.remembered);
         for (kind, count) in &stats.faults {
             *total.faults.entry(kind).or_default() += count;
@@ -99,6 +103,11 @@ impl Summary {
             "proposals read {}, refused {}, compared with the division {}",
             total.proposals, total.proposals_refused, total.proposals_compared
         );
+        let _ = writeln!(
+            text,
+            "reports put for robots of ROS {}, messages sent to viewers {}",
+            total.bridged, total.scenes
+        );
         let (worst, seed) = self.worst;
         let _ = writeln!(text, "longest time to agreement: {}, seed {seed}", in_ticks(worst));
         let failed: Vec<String> = self.failed.keys().map(ToString::to_string).collect();
@@ -126,6 +135,10 @@ pub fn run_batch(
                         return;
                     }
                     let seed = batch.first.saturating_add(number);
+                    let is_wanted = |kind: &String| has_fault(seed, &batch.options, &[kind]);
+                    if !batch.having.as_ref().is_none_or(is_wanted) {
+                        continue;
+                    }
                     let outcome = simulate(seed, &batch.options, batch.mutant, false);
                     let report = outcome.failure.is_some().then(|| report(batch, &outcome));
                     let mut summary = summary.lock().unwrap_or_else(PoisonError::into_inner);

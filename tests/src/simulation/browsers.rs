@@ -277,15 +277,24 @@ impl World {
         self.later(after, BrowserEvent::Opens);
     }
 
-    /// A console receives what crosses the router.
-    pub(super) fn console_receives(&mut self, packet: &Packet) {
-        let wanted =
-            [Key::Roster, Key::Teams, Key::Audit, Key::Alerts].map(|key| self.space.format(&key));
-        if !wanted.contains(&packet.key) {
-            return;
-        }
+    /// The console and the program for viewers receive what crosses the router.
+    pub(super) fn watchers_receive(&mut self, packet: &Packet) {
+        let wanted = match self.space.parse(&packet.key) {
+            Ok(Key::Roster | Key::Teams | Key::Audit | Key::Alerts) => true,
+            Ok(Key::Graph(_) | Key::Event) if self.viewers.are_there() => false,
+            _ => return,
+        };
         // No one believes what cannot be read.
         let Ok(message) = Message::decode(&self.space, packet) else { return };
+        if wanted {
+            self.console_receives(&message);
+        }
+        if self.viewers.are_there() {
+            self.viewers_receive(&message);
+        }
+    }
+
+    fn console_receives(&mut self, message: &Message) {
         let browsers = &mut self.browsers;
         let input = match message {
             Message::Roster(roster) => {
@@ -302,8 +311,8 @@ impl World {
                 browsers.teams = Some(Arc::clone(&teams));
                 Input::Teams(teams, None)
             }
-            Message::Audit(audit) => Input::Audit(audit, None),
-            Message::Alerts(alerts) => Input::Alerts(alerts, None),
+            Message::Audit(audit) => Input::Audit(Arc::clone(audit), None),
+            Message::Alerts(alerts) => Input::Alerts(Arc::clone(alerts), None),
             _ => return,
         };
         if browsers.link {

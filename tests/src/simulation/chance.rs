@@ -23,6 +23,10 @@ pub(crate) enum Purpose {
     Soak = 7,
     /// Which browsers are open, how fast they draw, and what they send.
     Console = 8,
+    /// Whether there are robots of ROS, what they are like, and what their bus does.
+    Ros = 9,
+    /// Which viewers there are, how fast they read, and what they ask for.
+    Viewers = 10,
 }
 
 /// A stream of numbers.

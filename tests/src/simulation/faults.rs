@@ -187,6 +187,7 @@ impl World {
             Fault::ProposeAtRest { robot, asked } => {
                 self.at_rest = Some(AtRest::Planned(self.about(robot, asked)));
             }
+            Fault::Ros(fault) => self.inject_ros(fault, &mut chance),
             Fault::BadAlpha { lasts } => {
                 self.operator.wants(ServiceName::Embedder, r#"{"alpha":1e9}"#.to_owned());
                 let patch = r#"{"alpha":{"fraction":0.5}}"#.to_owned();

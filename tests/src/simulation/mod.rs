@@ -34,9 +34,11 @@ mod plan;
 mod proposer;
 mod recording;
 mod robots;
+pub(crate) mod ros;
 mod router;
 mod scheduler;
 mod shrink;
+mod viewers;
 mod world;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -96,7 +98,8 @@ impl Options {
         let fleet = self.fleet.unwrap_or(robots).min(robots);
         let instances = if seed.is_multiple_of(2) { 1 } else { 2 };
         let storm = self.steps.max(100) * STEP;
-        Scale { robots, fleet, instances, storm, ghosts: self.ghosts }
+        let ros = ros::ros_robots(seed);
+        Scale { robots, fleet, instances, storm, ghosts: self.ghosts, ros }
     }
 }
 
@@ -109,6 +112,8 @@ struct Scale {
     instances: usize,
     storm: Micros,
     ghosts: usize,
+    /// How many robots of ROS there are, next to the others.
+    ros: usize,
 }
 
 /// What a run was like, in numbers.
@@ -146,6 +151,10 @@ pub struct Stats {
     pub proposals_refused: u64,
     /// See `proposals`.
     pub proposals_compared: u64,
+    /// How many reports of robots of ROS a bridge has put, and how many messages were sent to viewers.
+    pub bridged: u64,
+    /// See `bridged`.
+    pub scenes: u64,
     /// How long after the last fault all agreed, in microseconds.
     pub agreement: u64,
 }

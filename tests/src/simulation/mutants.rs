@@ -8,9 +8,11 @@ use muster_model::event::EventKind;
 use muster_model::header::Revision;
 use muster_model::history::{Entry, Record};
 use muster_model::id::{CommandId, RobotId, ServiceName, TeamId};
+use muster_model::observation::Pose;
 use muster_model::time::Tick;
 use serde_json::Value;
 
+mod bridges;
 mod kind;
 mod messages;
 mod proposals;
@@ -80,6 +82,9 @@ pub(crate) struct Mutator {
     renamed: BTreeMap<TeamId, TeamId>,
     /// The last proposal that was computed, and when it was read.
     proposal: Option<(Message, Tick)>,
+    /// The first pose of each robot that came over a bridge, and what ROS was first shown by key.
+    first_poses: BTreeMap<RobotId, Pose>,
+    first_shown: BTreeMap<String, Vec<u8>>,
 }
 
 /// The term of a leader that those after it keep.
@@ -110,6 +115,8 @@ impl Mutator {
             living: BTreeSet::new(),
             renamed: BTreeMap::new(),
             proposal: None,
+            first_poses: BTreeMap::new(),
+            first_shown: BTreeMap::new(),
         }
     }
 
@@ -214,6 +221,46 @@ impl Mutator {
     /// Whether the console is misled about divisions.
     pub(crate) fn misleads(&self) -> bool {
         self.active && self.mutant == Some(Mutant::Misled)
+    }
+
+    /// Whether a bridge to ROS does nothing once it was killed.
+    pub(crate) fn stays_away(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Absent)
+    }
+
+    /// How many topics a bridge to ROS remembers beyond those that it has.
+    pub(crate) fn hoards_topics(&self) -> usize {
+        if self.active && self.mutant == Some(Mutant::Retentive) { 1000 } else { 0 }
+    }
+
+    /// Whether a bridge to ROS names nothing that it refuses.
+    pub(crate) fn is_secretive(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Secretive)
+    }
+
+    /// How many times the program for viewers sends each scene.
+    pub(crate) fn repetitions(&self) -> usize {
+        if self.active && self.mutant == Some(Mutant::Wordy) { 5 } else { 1 }
+    }
+
+    /// Whether the program for viewers makes scenes that no viewer watches.
+    pub(crate) fn watches_all(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Wasteful)
+    }
+
+    /// Whether the program for viewers is misled about divisions.
+    pub(crate) fn blinds_viewers(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Blinded)
+    }
+
+    /// Whether a number of teams that no service confirmed is passed on to the program for viewers.
+    pub(crate) fn is_wishful(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Wishful)
+    }
+
+    /// Whether viewers receive no reason when something is refused.
+    pub(crate) fn is_curt(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Curt)
     }
 
     /// Whether a service receives nothing.

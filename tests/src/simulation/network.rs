@@ -4,6 +4,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use muster_client::Via;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 use muster_service::testkit::command_of;
@@ -67,7 +68,8 @@ impl World {
                 if let Some(robot) = key.as_ref().and_then(Key::robot) {
                     self.names.insert(robot.clone(), self.now);
                 }
-                self.console_receives(packet);
+                self.watchers_receive(packet);
+                self.pass_to_bridge(&carried, packet);
                 for node in 0..self.nodes.len() {
                     let is_isolated = self.mutator.isolates(self.nodes[node].service);
                     if self.nodes[node].subscribes_to(&packet.key) && !is_isolated {
@@ -129,6 +131,12 @@ impl World {
                 return;
             }
             _ => {}
+        }
+        if self.is_bridge(link) {
+            if let Carried::Put(packet) = carried {
+                self.bridge_receives(std::slice::from_ref(packet.as_ref()), Via::Put);
+            }
+            return;
         }
         if link >= self.nodes.len() {
             let robot = link - self.nodes.len();
@@ -212,6 +220,11 @@ impl World {
         }
     }
 
+    /// Whether a link is that of the bridge to ROS.
+    fn is_bridge(&self, link: LinkId) -> bool {
+        self.ros.as_ref().is_some_and(|ros| ros.link == link)
+    }
+
     /// The link number of a place.
     pub(super) fn link_of(&self, place: Place) -> Option<LinkId> {
         match place {
@@ -246,6 +259,8 @@ impl World {
         if link < self.nodes.len() {
             self.nodes[link].link_changed(&self.space, false);
             self.schedule_step(link);
+        } else if self.is_bridge(link) {
+            self.bridge_link_changed(false);
         }
     }
 
@@ -280,6 +295,8 @@ impl World {
         if link < self.nodes.len() {
             self.nodes[link].link_changed(&self.space, true);
             self.schedule_step(link);
+        } else if self.is_bridge(link) {
+            self.bridge_link_changed(true);
         }
         self.declare(link);
     }
@@ -323,7 +340,7 @@ impl World {
         let Some(Pending { asker, answers, .. }) = self.pending.remove(&get) else { return };
         self.router.end_get(get);
         match asker {
-            Asker::Operator(service) => {
+            Asker::Operator(service, losses) => {
                 // A standby answers with nothing.
                 let is_answer = |answer: &&Arc<Answer>| match answer.as_ref() {
                     Answer::Packets(packets) => !packets.is_empty(),
@@ -335,10 +352,12 @@ impl World {
                     .find(|answer| matches!(***answer, Answer::Packets(_)));
                 if let Some(answer) = confirmed.or(answers.iter().find(is_answer)) {
                     self.log.line(self.now, format_args!("{service} answers {answer:?}"));
-                    self.operator.answered(service, answer);
+                    let highest = self.oracle.order.highest_given(service);
+                    self.operator.answered(service, losses, highest, answer);
                 }
             }
             Asker::Nobody => {}
+            Asker::RosBridge(life) => self.bridge_answered(life, &answers),
             Asker::Proposer(errand, one_led) => self.proposal_answered(*errand, one_led, &answers),
             Asker::LateJoiner(last) => {
                 let packets = answers.iter().filter_map(|answer| answer.packets());
@@ -397,6 +416,7 @@ impl World {
         };
         let selector = format!("muster/v1/{}/{key}", self.space.fleet());
         let asked = BusGet { selector, parameters: "", payload: Some(payload.into_bytes()) };
-        self.get(self.operator.link, asked, CONSOLE_TIMEOUT, Asker::Operator(service));
+        let asker = Asker::Operator(service, self.operator.losses(service));
+        self.get(self.operator.link, asked, CONSOLE_TIMEOUT, asker);
     }
 }

@@ -28,6 +28,8 @@ pub(crate) struct Operator {
     count: u64,
     /// How many teams the clusterer has confirmed, or has in its file.
     teams: Option<u32>,
+    /// How often a service has lost its disk.
+    losses: BTreeMap<ServiceName, u32>,
     /// How often a service has refused, confirmed, or not answered.
     pub(crate) refused: u64,
     pub(crate) confirmed: u64,
@@ -36,7 +38,8 @@ pub(crate) struct Operator {
 impl Operator {
     pub(crate) fn new(link: LinkId, teams: Option<u64>) -> Self {
         let teams = teams.and_then(|teams| u32::try_from(teams).ok());
-        Self { link, wanted: BTreeMap::new(), count: 0, teams, refused: 0, confirmed: 0 }
+        let (wanted, losses) = (BTreeMap::new(), BTreeMap::new());
+        Self { link, wanted, count: 0, teams, losses, refused: 0, confirmed: 0 }
     }
 
     /// It wants to change settings by a patch, or a wish by its key and its content.
@@ -47,9 +50,15 @@ impl Operator {
 
     /// A service has lost its disk, and with it what was confirmed.
     pub(crate) fn forgets(&mut self, service: ServiceName) {
+        *self.losses.entry(service).or_default() += 1;
         if service == ServiceName::Clusterer {
             self.teams = None;
         }
+    }
+
+    /// How often a service has lost its disk: what it confirmed to a get of before that may be lost as well.
+    pub(crate) fn losses(&self, service: ServiceName) -> u32 {
+        self.losses.get(&service).copied().unwrap_or_default()
     }
 
     /// The next command for each service: its number, and the patch. Until it is answered, it is the same one.
@@ -66,8 +75,15 @@ impl Operator {
         self.wanted.values().any(|wanted| !wanted.is_empty())
     }
 
-    /// A service has answered.
-    pub(crate) fn answered(&mut self, service: ServiceName, answer: &Answer) {
+    /// A service has answered a get that was sent when it had lost its disk so often. `highest` is the highest term of its
+    /// leaders so far.
+    pub(crate) fn answered(
+        &mut self,
+        service: ServiceName,
+        losses: u32,
+        highest: u64,
+        answer: &Answer,
+    ) {
         match answer {
             Answer::Error(error) if error.contains(TRIED_AGAIN) => return,
             Answer::Error(error) if error.contains(GIVEN_ANEW) => {
@@ -91,8 +107,11 @@ impl Operator {
         if service == ServiceName::Clusterer
             && let Some(teams) = teams
         {
-            // A number that the clusterer chooses is not known.
-            self.teams = teams.as_u64().and_then(|teams| u32::try_from(teams).ok());
+            // A number that the clusterer chooses is not known, nor whether it was confirmed before the loss. What a
+            // leader confirms that never received the term of another one, as it was cut off, may not outlast that one's.
+            let is_known = self.losses(service) == losses && term_of(answer) >= Some(highest);
+            let teams = teams.as_u64().filter(|_| is_known);
+            self.teams = teams.and_then(|teams| u32::try_from(teams).ok());
         }
     }
 
@@ -107,6 +126,7 @@ impl Operator {
         let truth = |robot: usize| RobotTruth {
             position: robots.position(robot).unwrap_or_default(),
             superior: robots.superior(robot),
+            within: 0.0,
         };
         GroundTruth {
             fleet: alive.iter().map(|(name, robot)| (*name, truth(*robot))).collect(),
@@ -121,4 +141,11 @@ impl Operator {
             teams: self.teams,
         }
     }
+}
+
+/// The term of the leader that confirms a command.
+fn term_of(answer: &Answer) -> Option<u64> {
+    let payload = answer.packets()?.first()?.payload.as_ref().ok()?;
+    let confirmed: Value = serde_json::from_slice(payload).ok()?;
+    confirmed["term"].as_u64()
 }

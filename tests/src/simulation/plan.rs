@@ -9,6 +9,7 @@ use super::Scale;
 use super::busy::Load;
 use super::chance::{Chance, Purpose};
 use super::clock::{MS, Micros, SECOND};
+use super::ros::{RosFault, ros_plan};
 
 /// How much quiet a fleet has before the first fault, so that there is something to break.
 const QUIET_TIME: Micros = 2 * SECOND;
@@ -180,6 +181,8 @@ pub(crate) enum Fault {
     FullDisk { at: Place, lasts: Option<Micros> },
     /// An operator sets what stops every job of the embedder, and mends it after a while.
     BadAlpha { lasts: Micros },
+    /// Something goes wrong with robots of ROS or their bridge.
+    Ros(RosFault),
 }
 
 /// When something goes wrong.
@@ -229,7 +232,8 @@ impl Fault {
             | Self::Burst { .. }
             | Self::Rubbish { .. }
             | Self::Ghosts { .. }
-            | Self::Wish { .. } => true,
+            | Self::Wish { .. }
+            | Self::Ros(_) => true,
             _ => false,
         }
     }
@@ -268,6 +272,7 @@ impl Fault {
             Self::ProposeAtRest { .. } => "proposal at rest",
             Self::BadAlpha { .. } => "bad alpha",
             Self::FullDisk { .. } => "full disk",
+            Self::Ros(fault) => fault.kind(),
         }
     }
 }
@@ -326,6 +331,7 @@ impl fmt::Display for Injection {
             }
             Fault::Set { service, patch } => write!(formatter, "{service} {patch}"),
             Fault::Wish { id, robot, wish } => write!(formatter, "{id} of robot {robot}: {wish}"),
+            Fault::Ros(fault) => write!(formatter, "{fault}"),
         }
     }
 }
@@ -550,6 +556,12 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
         injections.push(Injection { number: 0, at: begin, fault });
     }
     injections.sort_by_key(|injection| injection.at);
+    // Behind all others, whose numbers give them their chance.
+    let ros = ros_plan(seed, scale.ros, scale.robots, begin, end);
+    injections.extend(ros.into_iter().map(|(at, fault)| {
+        let fault = Fault::Ros(fault);
+        Injection { number: 0, at, fault }
+    }));
     for (number, injection) in injections.iter_mut().enumerate() {
         injection.number = number;
     }

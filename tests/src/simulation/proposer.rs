@@ -14,7 +14,7 @@ use super::log::digest;
 use super::oracle::breach;
 use super::plan::Then;
 use super::router::{Answer, BusGet};
-use super::world::{Asker, Event, World};
+use super::world::{AGREED_ORDERS_TIME, Asker, Event, World};
 
 /// How long the reply to a get is waited for: the planner replies within three seconds.
 const REPLY_TIME: Micros = 5 * SECOND;
@@ -202,7 +202,9 @@ impl World {
     pub(super) fn rest(&mut self, settled_for: Option<Micros>) {
         let Some(settled_for) = settled_for.filter(|time| *time >= REST_TIME) else { return };
         match self.at_rest.take() {
-            Some(AtRest::Planned(asked)) if self.is_at_rest() => {
+            Some(AtRest::Planned(asked))
+                if self.is_at_rest() && settled_for >= AGREED_ORDERS_TIME =>
+            {
                 self.at_rest = Some(AtRest::Asked);
                 let (operator, id) = ("alice".to_owned(), "rest".to_owned());
                 let then = Then::AcceptAtRest;

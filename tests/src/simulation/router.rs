@@ -145,26 +145,31 @@ impl Router {
 /// Whether a pattern includes a key or another pattern. The only wild chunk is `*`, which is all that
 /// services declare.
 pub(crate) fn includes(pattern: &str, key: &str) -> bool {
-    let (mut pattern, mut key) = (pattern.split('/'), key.split('/'));
-    loop {
-        match (pattern.next(), key.next()) {
-            (None, None) => return true,
-            (Some(wanted), Some(chunk)) if wanted == "*" || wanted == chunk => {}
-            _ => return false,
-        }
-    }
+    matches(pattern.as_bytes(), key.as_bytes(), false)
 }
 
 /// Whether two patterns have a key in common.
 pub(crate) fn intersects(left: &str, right: &str) -> bool {
-    let (mut left, mut right) = (left.split('/'), right.split('/'));
+    matches(left.as_bytes(), right.as_bytes(), true)
+}
+
+/// Compares byte by byte, since every message is compared with every subscription: splitting both took a fifth of a run.
+fn matches(mut left: &[u8], mut right: &[u8], right_is_pattern: bool) -> bool {
     loop {
-        match (left.next(), right.next()) {
-            (None, None) => return true,
-            (Some(l), Some(r)) if l == "*" || r == "*" || l == r => {}
+        (left, right) = match (left, right) {
+            ([], []) => return true,
+            ([b'*', left @ ..], right) => (left, after_chunk(right)),
+            (left, [b'*', right @ ..]) if right_is_pattern => (after_chunk(left), right),
+            ([l, left @ ..], [r, right @ ..]) if l == r => (left, right),
             _ => return false,
-        }
+        };
     }
+}
+
+/// What comes after the first chunk, with its slash.
+fn after_chunk(key: &[u8]) -> &[u8] {
+    let end = key.iter().position(|byte| *byte == b'/').unwrap_or(key.len());
+    &key[end..]
 }
 
 #[cfg(test)]

@@ -26,19 +26,23 @@ use super::oracle::{ALERTED_WITHIN, Agreed, Bounds, Breach, MEMORY, Oracle, Veri
 use super::plan::{Fault, Injection, Place};
 use super::proposer::{AtRest, Errand};
 use super::robots::{RobotStream, Robots};
+use super::ros::{Ros, RosEvent};
 use super::router::{Answer, BusGetId, Carried, LinkId, Router};
+use super::viewers::{ViewerEvent, Viewers};
 use super::{AGREEMENT_TICKS, Mutant, Scale, Stats, TICK};
 
-/// How long all must have agreed without a change before a run ends.
-const AGREED_TIME: Micros = 6 * SECOND;
-
-/// How long after an agreement it is on the disks.
-const KEPT_TIME: Micros = 2 * SECOND;
+/// How long all must have agreed without a change before a run ends: viewers believe services that have lost all state, and
+/// their terms with it, after five seconds and a heartbeat.
+const AGREED_TIME: Micros = 7 * SECOND;
 
 /// How long after the storm nothing is about to change by itself any more: the last new superior is known
 /// within two seconds, counts as new orders for ten, and the fleet is at rest a second later. A division that
 /// was agreed on before changes then, whether the power is cut or not.
 const ORDERS_TIME: Micros = 14 * SECOND;
+
+/// The same from the moment on in which all agree: an embedder whose fetches were lost in the storm knows the last
+/// superior only then. By its end the agreement is on the disks as well.
+pub(super) const AGREED_ORDERS_TIME: Micros = 12 * SECOND;
 
 /// For how long after the last fault a seat may still be kept for a team that is absent: a minute from its last robot on, which
 /// is known to have left within eight seconds, and a second until that is divided.
@@ -84,6 +88,8 @@ pub(super) enum Event {
     Written { node: usize, life: u32, report: Box<RecordingReport> },
     DiskHasRoom { node: usize },
     Browser(BrowserEvent),
+    Ros(RosEvent),
+    Viewer(ViewerEvent),
     Poll,
 }
 
@@ -119,12 +125,14 @@ impl Ord for Scheduled {
 pub(super) enum Asker {
     /// The host of a process.
     Host { node: usize, life: u32, ask: AskId },
-    /// The operator, about the settings of a service.
-    Operator(ServiceName),
+    /// The operator, about the settings of a service, and how often that had lost its disk.
+    Operator(ServiceName, u32),
     /// A console that joins when all have agreed, and what was published last by then.
     LateJoiner(Message),
     /// An operator, about a proposal, and whether one planner led and the others stood by when the get was sent.
     Proposer(Box<Errand>, bool),
+    /// The bridge to ROS, by the number of its process.
+    RosBridge(u32),
     /// Somebody who only wants it answered.
     Nobody,
 }
@@ -158,6 +166,9 @@ pub(super) struct World {
     pub(super) clocks_agree: bool,
     pub(super) operator: Operator,
     pub(super) browsers: Browsers,
+    pub(super) viewers: Viewers,
+    pub(super) ros: Option<Ros>,
+    attacker: LinkId,
     pub(super) pending: BTreeMap<BusGetId, Pending>,
     pub(super) damage: Damage,
     pub(super) mutator: Mutator,
@@ -198,8 +209,8 @@ pub(super) fn places(scale: &Scale) -> Vec<Place> {
 }
 
 /// The configuration files of a seed.
-fn files(seed: u64, chance: &mut Chance, robots: usize) -> BTreeMap<ServiceName, Value> {
-    let max_robots = robots + chance.below(12) + 4;
+fn files(seed: u64, chance: &mut Chance, scale: &Scale) -> BTreeMap<ServiceName, Value> {
+    let max_robots = scale.robots + chance.below(12) + 4 + scale.ros;
     let ingest = json!({
         "stale_after_s": chance.real(1.0, 2.5),
         "gone_after_s": chance.real(3.0, 8.0),
@@ -233,7 +244,7 @@ impl World {
         #[expect(clippy::expect_used, reason = "a simulation without a fleet would prove nothing")]
         let space = KeySpace::new(FleetId::new("fleet").expect("this is a name"));
         let mut chance = Chance::new(seed, Purpose::Fleet, 1);
-        let files = files(seed, &mut chance, scale.robots);
+        let files = files(seed, &mut chance, scale);
         let mut nodes = Vec::new();
         let sets_clock = |injection: &Injection| {
             // Nobody follows the terms of a historian.
@@ -280,20 +291,28 @@ impl World {
         };
         let links =
             (0..count).map(|link| Link::new(Chance::new(seed, Purpose::Link, number(link))));
+        let mut links: Vec<Link> = links.collect();
+        let natives: Vec<RobotId> = robots.all.iter().map(|robot| robot.name.clone()).collect();
+        let ros = Ros::new(seed, count, &natives);
+        links.extend(ros.iter().map(|_| Link::new(Chance::new(seed, Purpose::Ros, 2))));
         let clusterer = files.get(&ServiceName::Clusterer);
         let teams = clusterer.and_then(|file| file.get("teams")?.as_u64());
         let max_robots =
             files.get(&ServiceName::Ingest).and_then(|file| file.get("max_robots")?.as_u64());
         let browsers = Browsers::new(seed, space.fleet());
+        let viewers = Viewers::new(seed, space.fleet());
         let mut world = Self {
             seed,
             space,
             now: 0,
             agenda: BinaryHeap::new(),
             scheduled: 0,
-            links: links.collect(),
+            links,
+            ros,
+            attacker: count - 1,
             operator: Operator::new(count - 2, teams),
             browsers,
+            viewers,
             max_robots: usize::try_from(max_robots.unwrap_or_default()).unwrap_or_default(),
             nodes,
             robots,
@@ -353,13 +372,26 @@ impl World {
         for (at, event) in self.browsers.agenda(self.storm) {
             self.schedule(at, Event::Browser(event));
         }
+        let storm = self.storm;
+        for (at, event) in self.viewers.agenda(storm) {
+            self.schedule(at, Event::Viewer(event));
+        }
+        let of_ros = self.ros.as_mut().map(|ros| ros.agenda(storm)).unwrap_or_default();
+        for (at, event) in of_ros {
+            self.schedule(at, Event::Ros(event));
+        }
         self.schedule(0, Event::Operate);
         self.schedule(self.storm, Event::StormOver);
     }
 
     /// The link of the attacker.
     pub(super) fn attacker(&self) -> LinkId {
-        self.links.len() - 1
+        self.attacker
+    }
+
+    /// When the storm ends, and all motion with it.
+    pub(super) fn storm_ends(&self) -> Micros {
+        self.storm
     }
 
     /// Since when nothing more goes wrong.
@@ -458,6 +490,8 @@ impl World {
             Event::Written { node, life, report } => self.written(node, life, report),
             Event::DiskHasRoom { node } => self.free_disk(node),
             Event::Browser(event) => self.browser_event(event),
+            Event::Ros(event) => self.ros_event(event),
+            Event::Viewer(event) => self.viewer_event(event),
             Event::Poll => self.poll(),
         }
     }
@@ -555,6 +589,8 @@ impl World {
             self.start_node(index);
             self.schedule_step(index);
         }
+        self.calm_ros();
+        self.viewers.rest(self.now);
         self.robots.observe(self.storm);
         self.schedule(self.now + TICK, Event::Poll);
     }
@@ -564,7 +600,10 @@ impl World {
         let since = self.now.saturating_sub(self.quiet_since);
         let limit = AGREEMENT_TICKS * TICK;
         let agreed = {
-            let ground_truth = self.operator.ground_truth(&self.robots, &self.nodes);
+            let mut ground_truth = self.operator.ground_truth(&self.robots, &self.nodes);
+            if let Some(ros) = &self.ros {
+                ros.add_truth(self.storm, &mut ground_truth);
+            }
             if self.operator.is_busy() {
                 Err("an operator's settings are not confirmed".to_owned())
             } else {
@@ -624,9 +663,20 @@ impl World {
         let settled_for = self.settled.as_ref().map(|(at, _)| since.saturating_sub(*at));
         self.finished &= self.historians_have_recorded(settled_for);
         if self.finished {
+            // The last division of a fleet that all have left may be that of a clusterer that was killed, and lost on its way:
+            // the next one has nothing to divide.
+            let has_robots = self.settled.as_ref().is_some_and(|(_, agreed)| agreed.has_robots());
             let teams = self.oracle.divisions.last().map(|teams| &**teams);
+            let teams = teams.filter(|teams| has_robots || teams.assignments().next().is_none());
             let shown = self.browsers.check_agreement(teams);
-            self.require(shown);
+            let seen = match (self.oracle.rosters.last(), teams) {
+                (Some(roster), Some(teams)) => {
+                    self.viewers.check_agreement(self.now, roster, teams)
+                }
+                _ => Ok(()),
+            };
+            self.require(shown.and(seen));
+            self.check_ros();
         }
         self.cut_power_if_settled(since);
         if self.settled.is_some() {
@@ -657,11 +707,11 @@ impl World {
         }
     }
 
-    /// Cuts the power once nothing is about to change by itself, and all have agreed for long enough that it is
-    /// on the disks.
+    /// Cuts the power once nothing is about to change by itself, and what all have agreed on is on the disks.
     fn cut_power_if_settled(&mut self, since: Micros) {
         let Some(lasts) = self.power_cut else { return };
-        let is_settled = |(at, _): &mut (Micros, Agreed)| since >= ORDERS_TIME.max(*at + KEPT_TIME);
+        let is_settled =
+            |(at, _): &mut (Micros, Agreed)| since >= ORDERS_TIME.max(*at + AGREED_ORDERS_TIME);
         let Some((_, agreed)) = self.settled.take_if(is_settled) else { return };
         self.power_cut = None;
         self.quiet_since = self.now + lasts;

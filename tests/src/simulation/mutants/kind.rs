@@ -85,11 +85,35 @@ pub enum Mutant {
     Misleading,
     /// The console receives divisions in which a robot is in no team, once a service was killed.
     Misled,
+    /// The bridge to ROS puts robots a little away from their place, once it was killed.
+    Unmoved,
+    /// The bridge to ROS gives all poses the number of the first one, once it was killed.
+    Inert,
+    /// The bridge to ROS shows an old team now and then, once it was killed.
+    Nostalgia,
+    /// The bridge to ROS does nothing, once it was killed.
+    Absent,
+    /// The bridge to ROS remembers topics that are gone, once a robot has restarted.
+    Retentive,
+    /// The bridge to ROS names nothing that it refuses, once a robot has restarted.
+    Secretive,
+    /// The program for viewers makes scenes that no viewer watches, once a service was killed.
+    Wasteful,
+    /// The program for viewers receives divisions in which a robot is in no team, once a service was killed.
+    Blinded,
+    /// The program for viewers shows a number of teams that no service confirmed, once settings were changed.
+    Wishful,
+    /// The program for viewers refuses without a reason, once settings were changed.
+    Curt,
+    /// The program for viewers draws lost robots in red, once a robot has left.
+    Garish,
+    /// The program for viewers sends each scene many times, once a service was killed.
+    Wordy,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 40] = [
+    pub const ALL: [Self; 52] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -130,6 +154,18 @@ impl Mutant {
         Self::Discreet,
         Self::Misleading,
         Self::Misled,
+        Self::Unmoved,
+        Self::Inert,
+        Self::Nostalgia,
+        Self::Absent,
+        Self::Retentive,
+        Self::Secretive,
+        Self::Wasteful,
+        Self::Blinded,
+        Self::Wishful,
+        Self::Curt,
+        Self::Garish,
+        Self::Wordy,
     ];
 
     /// The kinds of faults after which it shows.
@@ -144,9 +180,16 @@ impl Mutant {
             | Self::OlderRoster
             | Self::LostRecords
             | Self::Forgotten
-            | Self::Misled => &["kill"],
+            | Self::Misled
+            | Self::Wasteful
+            | Self::Blinded
+            | Self::Wordy => &["kill"],
+            Self::Unmoved | Self::Inert | Self::Nostalgia | Self::Absent => &["bridge killed"],
+            Self::Retentive | Self::Secretive => &["ROS robot restarts"],
             Self::WrongSilhouette => &["storm"],
-            Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
+            Self::NotANumber | Self::Garish => {
+                &["robot leaves", "robot leaves and returns", "robot reboots"]
+            }
             Self::IsolatedAuditor | Self::NoPositions => &["clean cut", "silent cut"],
             Self::Restless
             | Self::Fickle
@@ -159,7 +202,9 @@ impl Mutant {
             | Self::Silent
             | Self::Reused
             | Self::Reversed
-            | Self::Doubled => &["settings"],
+            | Self::Doubled
+            | Self::Wishful
+            | Self::Curt => &["settings"],
             Self::Meddling | Self::Nostalgic | Self::Chorus | Self::Discreet => &["proposal"],
             Self::Hoarding => &["many proposals"],
             Self::Misleading => &["proposal at rest"],

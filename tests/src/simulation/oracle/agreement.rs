@@ -26,6 +26,15 @@ const STANDS: &str = "a restart of everything changes no team";
 pub(crate) struct RobotTruth {
     pub(crate) position: [f64; 3],
     pub(crate) superior: Option<RobotId>,
+    /// How far off its position may be, in metres, along each axis: what is moved from frame to frame is rounded.
+    pub(crate) within: f64,
+}
+
+impl RobotTruth {
+    fn is_at(&self, position: Option<[f64; 3]>) -> bool {
+        let is_near = |(own, other): (&f64, &f64)| (own - other).abs() <= self.within;
+        position.is_some_and(|position| self.position.iter().zip(&position).all(is_near))
+    }
 }
 
 /// What is known of the world without the bus.
@@ -93,7 +102,7 @@ impl Oracle {
             if entry.presence != Presence::Active {
                 return Err(format!("{} lives and is stale in the roster", entry.robot));
             }
-            if entry.position != Some(truth.position) || entry.superior != truth.superior {
+            if !truth.is_at(entry.position) || entry.superior != truth.superior {
                 return Err(format!(
                     "{} is at {:?} under {:?}, in the roster at {:?} under {:?}",
                     entry.robot, truth.position, truth.superior, entry.position, entry.superior
@@ -241,15 +250,14 @@ impl Oracle {
             return Ok(());
         }
         let number = |teams: &Teams| (teams.requested, teams.teams.len());
-        let changed = number(&before.teams) != number(&now.teams);
         let moved = moved(&before.teams, &now.teams);
         let ids =
             |teams: &Teams| teams.teams.iter().map(|team| team.id.clone()).collect::<Vec<_>>();
-        let follows = if changed {
-            !before.counted
-        } else {
-            ids(&before.teams) == ids(&now.teams) && moved.is_disjoint(&before.moved)
-        };
+        let same_ids = ids(&before.teams) == ids(&now.teams);
+        // That fewer are asked for than could be formed anyway is no change that anybody sees.
+        let changed = number(&before.teams) != number(&now.teams) && !same_ids;
+        let follows =
+            if changed { !before.counted } else { same_ids && moved.is_disjoint(&before.moved) };
         if !follows || before.teams.unassigned != now.teams.unassigned {
             return breach(
                 UNCHANGED,

@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 
 use muster_model::event::EventKind;
+use muster_model::id::TeamId;
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::Teams;
 use muster_model::wish::{StandingWish, WishKind, WishList, WishState};
@@ -38,8 +39,8 @@ pub(crate) struct Limits {
     wishes: Vec<StandingWish>,
     /// Whether a division may be made for wishes alone: there are some, or there were until lately.
     has_wishes: bool,
-    /// Whether the last division of the process had no conflict; none if it has published none.
-    had_no_conflict: Option<bool>,
+    /// The term of the last division of the process, and whether that had no conflict; none if it has published none.
+    had_no_conflict: Option<(u64, bool)>,
     /// Whether an event must come before the next division.
     awaits_event: bool,
 }
@@ -90,6 +91,14 @@ impl Limits {
         self.wishes.iter().any(|one| one.state != WishState::Expired)
     }
 
+    /// Whether a wish waited for a team that is there for the first time.
+    pub(crate) fn wish_begins_to_count(&self, before: &Teams, now: &Teams) -> bool {
+        let waits = |one: &&StandingWish| one.state == WishState::Waiting;
+        let mut wanted = self.wishes.iter().filter(waits).filter_map(|one| one.wish.team.as_ref());
+        let has = |teams: &Teams, id: &TeamId| teams.teams.iter().any(|team| team.id == *id);
+        wanted.any(|id| has(now, id) && !has(before, id))
+    }
+
     /// A pin or a ban that was granted and is not.
     fn broken_wish(&self, teams: &Teams) -> Option<&StandingWish> {
         let granted = self.wishes.iter().filter(|one| one.state == WishState::Active);
@@ -128,8 +137,10 @@ impl Limits {
             return breach(EVENT, format!("none came before division {revision:?}"));
         }
         let conflict = teams.limited.as_ref().and_then(|limited| limited.conflict.as_deref());
-        self.awaits_event = conflict.is_some() && self.had_no_conflict == Some(true);
-        self.had_no_conflict = Some(conflict.is_none());
+        // The first division of a term goes on from that of another leader, which may have reported the conflict.
+        self.awaits_event =
+            conflict.is_some() && self.had_no_conflict == Some((revision.term, true));
+        self.had_no_conflict = Some((revision.term, conflict.is_none()));
         if conflict.is_none()
             && let Some(one) = self.broken_wish(teams)
         {

@@ -6,6 +6,7 @@
 
 mod agreement;
 mod alerts;
+pub(crate) mod bridged;
 mod changes;
 mod division;
 mod finite;
@@ -18,6 +19,7 @@ mod proposals;
 mod received;
 mod recorded;
 mod silhouettes;
+pub(crate) mod viewed;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -320,6 +322,11 @@ impl Oracle {
                 let divided = Divided { publisher, settings, teams: teams_now, moved, counted };
                 if let Some(before) = self.divided.replace(divided) {
                     self.check_same_again(before)?;
+                }
+                // The next division grants a wish that this one could not.
+                let last = self.divisions.last();
+                if last.is_some_and(|last| self.limits.wish_begins_to_count(last, teams)) {
+                    self.divided = None;
                 }
                 self.changes.divided(publisher, teams);
                 self.alerts.divided(now, teams);

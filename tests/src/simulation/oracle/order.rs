@@ -47,6 +47,12 @@ impl Order {
         self.given.retain(|(of, number, _), _| (*of, *number) != (service, instance));
     }
 
+    /// The highest term of which an instance of a service has published anything.
+    pub(crate) fn highest_given(&self, service: ServiceName) -> u64 {
+        let of_service = self.given.iter().filter(|((of, ..), _)| *of == service);
+        of_service.map(|(_, revision)| revision.term).max().unwrap_or_default()
+    }
+
     /// Until a moment, an instance of a service, or of any if none is named, may not receive the lease
     /// renewals of another one, or receives forged messages.
     pub(crate) fn disturbed(&mut self, service: Option<ServiceName>, until: Micros) {
