@@ -41,9 +41,12 @@ class SignIn extends Component {
 /** When the data behind a division is old, in seconds: what readers of a division wait for a newer one. */
 const OLD_AFTER = 5;
 
-/** Whether an instance of a service leads. @param {string} service */
-const leads = (service) => state.services.instances.some((/** @type {any} */ one) =>
+/** Whether an instance of a service led when so much was known of the services. @param {any} known @param {string} service */
+const led = (known, service) => known.instances.some((/** @type {any} */ one) =>
     one.service === service && one.standing === "holding");
+
+/** Whether no instance leads, now and when it was last said: the first that a page receives may lack statuses. @param {string} service */
+const isIdle = (service) => state.before && !led(state.before, service) && !led(state.services, service);
 
 function banner() {
     if (state.replay) return h("p", { class: "banner replay", role: "status" }, "REPLAY – this is the past");
@@ -52,7 +55,7 @@ function banner() {
     if (state.hello?.fleet.startsWith("replay-")) return h("p", { class: "banner replay", role: "status" }, "REPLAY – this fleet is a recording that is played");
     const old = Object.entries(state.fleet?.stale ?? {}).filter(([, why]) => why).map(([name]) => name);
     if (old.length) return h("p", { class: "banner stale", role: "status" }, `No service says anything newer: ${old.join(", ")} may be old.`);
-    const idle = ["ingest", "embedder", "clusterer", "auditor"].filter((name) => state.services && !leads(name));
+    const idle = ["ingest", "embedder", "clusterer", "auditor"].filter(isIdle);
     const behind = now() - (state.teams?.newest ?? NaN);
     if (idle.length || behind > OLD_AFTER) {
         const why = idle.length ? `No ${idle.join(", no ")} leads: ` : "";

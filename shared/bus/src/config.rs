@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use muster_model::id::FleetId;
 
@@ -10,6 +11,15 @@ pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
 /// The fleet of a process that names none.
 pub const DEFAULT_FLEET: &str = "default";
+
+/// How long a silent link counts as alive. Zenoh's own default of 10 s would leave a lost service unnoticed for as long.
+pub const LEASE: Duration = Duration::from_secs(2);
+
+/// The same for a robot that has a session of its own. Where many join at once, or come back to a router that was restarted, a
+/// router works off their declarations for seconds. What waits in the meantime counts as silence (`rx_task` of Zenoh 1.10.2),
+/// and each robot that it lets go of declares everything again. Nothing waits for a lost robot: that it is stale follows from
+/// its poses.
+pub const ROBOT_LEASE: Duration = Duration::from_secs(6);
 
 /// How a process takes part in the bus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -69,4 +79,6 @@ pub struct BusConfig {
     pub zenoh_config: Option<PathBuf>,
     /// Whether a router announces its peers to each other, so that they link directly: those of ROS 2 rely on it.
     pub gossip: bool,
+    /// How long others wait for this process, if it is silent, before they close its link: [`LEASE`], or longer.
+    pub lease: Duration,
 }

@@ -1,16 +1,13 @@
 //! Zenoh's configuration for a process, in layers, and the endpoints that Zenoh is given.
 
 use std::path::Path;
+use std::time::Duration;
 
 use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use zenoh::config::EndPoint;
 
 use crate::config::BusConfig;
 use crate::error::{EndpointError, OpenError};
-
-/// How long a silent link counts as alive. Zenoh's own default of 10 s would leave a lost robot
-/// unnoticed for as long.
-const LEASE_MS: u64 = 2000;
 
 /// How soon a lost router is tried again, at first and at most.
 pub(crate) const RETRY_MS: (u64, u64) = (100, 500);
@@ -69,7 +66,7 @@ pub(crate) fn zenoh_config(config: &BusConfig) -> Result<zenoh::Config, OpenErro
         Some(path) => read_zenoh_config(path)?,
         None => plain.clone(),
     };
-    let mut values = built_in_values();
+    let mut values = built_in_values(config.lease);
     let endpoints = |list: &[String]| serde_json::json!(list).to_string();
     values.push(("scouting/gossip/enabled", config.gossip.to_string()));
     values.push(("mode", format!("\"{}\"", config.mode.value)));
@@ -145,7 +142,7 @@ pub fn check_zenoh_config(path: &Path) -> Result<(), OpenError> {
     read_zenoh_config(path).map(drop)
 }
 
-fn built_in_values() -> Vec<(&'static str, String)> {
+fn built_in_values(lease: Duration) -> Vec<(&'static str, String)> {
     let (retry, retry_at_most) = RETRY_MS;
     let retries = format!(
         "{{period_init_ms: {retry}, period_max_ms: {retry_at_most}, period_increase_factor: 2}}"
@@ -163,7 +160,7 @@ fn built_in_values() -> Vec<(&'static str, String)> {
         ("connect/retry", retries),
         ("listen/timeout_ms", "0".to_owned()),
         ("listen/exit_on_failure", "true".to_owned()),
-        ("transport/link/tx/lease", LEASE_MS.to_string()),
+        ("transport/link/tx/lease", lease.as_millis().to_string()),
         (DROP, drop_after),
         ("transport/link/rx/max_message_size", MAX_MESSAGE.to_string()),
         ("transport/unicast/max_sessions", "10000".to_owned()),
@@ -178,7 +175,7 @@ mod tests {
     use muster_model::id::FleetId;
 
     use super::*;
-    use crate::config::{Choice, DEFAULT_ENDPOINT, Mode};
+    use crate::config::{Choice, DEFAULT_ENDPOINT, LEASE, Mode, ROBOT_LEASE};
 
     fn router(listen: Choice<Vec<String>>, file: Option<&str>) -> BusConfig {
         BusConfig {
@@ -188,6 +185,7 @@ mod tests {
             listen,
             zenoh_config: file.map(Into::into),
             gossip: false,
+            lease: LEASE,
         }
     }
 
@@ -208,7 +206,7 @@ mod tests {
         let alone = zenoh::Config::from_file(shipped).unwrap();
         let ours = zenoh_config(&built_in).unwrap();
         let gossip = ("scouting/gossip/enabled", String::new());
-        for (key, _) in built_in_values().into_iter().chain([gossip]) {
+        for (key, _) in built_in_values(LEASE).into_iter().chain([gossip]) {
             assert_eq!(alone.get_json(key).unwrap(), ours.get_json(key).unwrap(), "{key}");
         }
     }
@@ -227,6 +225,21 @@ mod tests {
                 ("false".into(), "true".into())
             );
         }
+    }
+
+    #[test]
+    fn a_robot_announces_a_longer_lease_unless_its_file_names_one() {
+        let path = std::env::temp_dir().join(format!("muster-lease-{}.json5", std::process::id()));
+        let file = path.to_str();
+        std::fs::write(&path, "{transport: {link: {tx: {lease: 3000}}}}").unwrap();
+        for (lease, file, wanted) in
+            [(LEASE, None, "2000"), (ROBOT_LEASE, None, "6000"), (ROBOT_LEASE, file, "3000")]
+        {
+            let config = BusConfig { lease, ..router(Choice::default(Vec::new()), file) };
+            let found = zenoh_config(&config).unwrap().get_json("transport/link/tx/lease").unwrap();
+            assert_eq!(found, wanted);
+        }
+        std::fs::remove_file(path).unwrap();
     }
 
     #[test]

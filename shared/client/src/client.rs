@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use muster_bus::{Bus, DeclaredKeys, Session};
+use muster_bus::config::LEASE;
+use muster_bus::{Bus, BusConfig, DeclaredKeys, Session};
 use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::id::RobotId;
@@ -60,8 +61,13 @@ impl Client {
     /// [`Error::Input`] for a wrong configuration, [`Error::Runtime`] outside of a multi-threaded
     /// tokio runtime, [`Error::Unreachable`] if no router answers in time.
     pub async fn open(config: &Config) -> Result<Self, Error> {
+        Self::open_with(config, LEASE).await
+    }
+
+    /// The same with another lease.
+    pub(crate) async fn open_with(config: &Config, lease: Duration) -> Result<Self, Error> {
         check_runtime()?;
-        let bus = config.bus()?;
+        let bus = BusConfig { lease, ..config.bus()? };
         // Zenoh's own configuration may name other routers.
         let routers = muster_bus::routers(&bus).unwrap_or_else(|_| bus.connect.value.clone());
         let bus = Bus::open(bus, config.connect_timeout()).await;

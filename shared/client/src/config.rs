@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use muster_bus::config::{Choice, DEFAULT_ENDPOINT, DEFAULT_FLEET};
+use muster_bus::config::{Choice, DEFAULT_ENDPOINT, DEFAULT_FLEET, LEASE};
 use muster_bus::{BusConfig, ConnectTimeout, check_endpoint};
 use muster_model::id::FleetId;
 use muster_wire::Format;
@@ -164,6 +164,7 @@ impl Config {
             listen: Choice { value: self.listen.clone(), chosen: !self.listen.is_empty() },
             zenoh_config: self.zenoh_config.clone(),
             gossip: false,
+            lease: LEASE,
         })
     }
 

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use muster_bus::config::ROBOT_LEASE;
 use muster_bus::{Subscription, Token};
 use muster_model::id::{Modality, RobotId};
 use muster_model::observation::{
@@ -25,8 +26,8 @@ use crate::send_queue::SendQueue;
 use crate::watch::Watch;
 
 /// How long the token of a robot may outlive its process: a robot that restarts must not be refused
-/// because of its own last run. A dead host is noticed within the lease of 2 s; this is twice that.
-const TOKEN_LIFETIME: Duration = Duration::from_secs(4);
+/// because of its own last run. A dead host is noticed within its lease; this is a little longer.
+const TOKEN_LIFETIME: Duration = ROBOT_LEASE.saturating_add(Duration::from_secs(1));
 
 /// How often such a token is looked for again.
 const TOKEN_POLL_INTERVAL: Duration = Duration::from_millis(200);
@@ -200,7 +201,7 @@ impl Robot {
     /// As [`Client::open`] and [`Client::join`].
     pub async fn join(config: &Config, robot: &str) -> Result<Self, Error> {
         let robot = RobotId::new(robot).map_err(Error::id("robot"))?;
-        let client = Client::open(config).await?;
+        let client = Client::open_with(config, ROBOT_LEASE).await?;
         Self::begin(client, robot, true).await
     }
 

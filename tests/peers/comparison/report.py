@@ -79,7 +79,7 @@ def machine_table(results):
         (
             "limits, one thread",
             ", ".join(
-                f"{name} {value / 1e9:.1f} {'GB/s' if name.startswith('triad') else 'GF/s'}"
+                f"{name} {value / 1e9:.1f} {limit_unit(name)}"
                 for name, value in limits.items()
             ),
         ),
@@ -91,6 +91,12 @@ def machine_table(results):
         ),
     ]
     return table(("", ""), rows)
+
+
+def limit_unit(name):
+    if name == "roots":
+        return "·10⁹/s"
+    return "GB/s" if name.startswith("triad") else "GF/s"
 
 
 def decomposition_table(cases):
@@ -203,9 +209,9 @@ def embedding_rows(cases):
                 )
 
 
-def kmeans_table(cases):
+def kmeans_table(cases, limits):
     head = (
-        *("points", "k", "Muster ms", "GF/s"),
+        *("points", "k", "Muster ms", "GF/s (of a single gemm)"),
         *("scikit-learn ms", "ratio", "linfa ms", "ratio", "inertia of linfa"),
     )
     return table(
@@ -215,7 +221,7 @@ def kmeans_table(cases):
                 f"{case['points']:,} × {case['dims']}",
                 case["clusters"],
                 milliseconds(case["times"]["ours"]),
-                number(case["rate"] / 1e9),
+                f"{number(case['rate'] / 1e9)} ({100 * case['rate'] / limits['single gemm']:.0f} %)",
                 milliseconds(case["times"]["sklearn"]),
                 times(case["ratios"]["sklearn"]),
                 milliseconds(case["times"]["linfa"]),
@@ -227,15 +233,19 @@ def kmeans_table(cases):
     )
 
 
-def pair_rates(case, form):
-    """Operations and square roots per second, where every pair is looked at once."""
+def pair_rates(case, form, limits):
+    """Operations and square roots per second, where every pair is looked at once, and the share of the limits."""
     if form != "exact":
         return "–", "–"
     per_second = case["points"] * (case["points"] - 1) / 2 / case["times"][form]
-    return f"{2 * case['dims'] * per_second / 1e9:.1f}", f"{per_second:.1e}"
+    operations = 2 * case["dims"] * per_second
+    return (
+        f"{operations / 1e9:.1f} ({100 * operations / limits['gemm faer']:.0f} %)",
+        f"{per_second:.1e} ({100 * per_second / limits['roots']:.0f} %)",
+    )
 
 
-def silhouette_table(cases):
+def silhouette_table(cases, limits):
     head = ("points", "form", "Muster ms", "GF/s", "roots/s", "scikit-learn ms", "ratio", "value")
     peers = {"exact": "sklearn", "squared": "sklearn squared", "sampled": "sklearn"}
     return table(
@@ -245,7 +255,7 @@ def silhouette_table(cases):
                 f"{case['points']:,} × {case['dims']}",
                 form,
                 milliseconds(case["times"][form]),
-                *pair_rates(case, form),
+                *pair_rates(case, form, limits),
                 milliseconds(case["times"][peer]),
                 times(case["ratios"][form]),
                 f"{case['values'][form]:.4f}"
@@ -315,10 +325,13 @@ def whole(results, picture):
         parts += [
             "## k-means",
             "20 iterations from the same centroids, to the same inertia as scikit-learn. linfa counts "
-            "the centroid before as one more point of each cluster, so that its way is another one.",
-            kmeans_table(cases["kmeans"]),
+            "the centroid before as one more point of each cluster, so that its way is another one. Operations are "
+            "two for each coordinate of each point and centroid.",
+            kmeans_table(cases["kmeans"], results["limits"]),
             "## Silhouettes",
-            silhouette_table(cases["silhouettes"]),
+            "In brackets: the share of the fastest dense product, and of the square roots that one thread takes "
+            "when it does nothing else. The *exact* form takes both, one after the other in each register.",
+            silhouette_table(cases["silhouettes"], results["limits"]),
         ]
     if cases := results.get("growth"):
         parts += [

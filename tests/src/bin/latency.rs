@@ -13,8 +13,9 @@ use clap::Parser;
 use muster_tests::latency::run_plan::{self, RunPlan};
 use muster_tests::latency::{drive, echo, report};
 
-/// Most robots of a run: more than one process can put for at 10 Hz on two cores.
-const MAX_ROBOTS: u32 = 20_000;
+/// Most robots of a run, and most poses per second of all: more than one process can put on two cores.
+const MAX_ROBOTS: u32 = 50_000;
+const MAX_POSES_HZ: f64 = 200_000.0;
 
 /// How long a fleet settles before it is measured.
 const SETTLING_TIME: Duration = Duration::from_secs(5);
@@ -23,16 +24,17 @@ const SETTLING_TIME: Duration = Duration::from_secs(5);
 #[derive(Debug, Parser)]
 #[command(
     after_help = "Examples:\n  tests/peers/latency                                all sizes, 60 s each\n  \
-tests/peers/latency --robots 500 --seconds 20\n  tests/peers/latency --set embedder.dimension=8\n  \
+tests/peers/latency --robots 500 --seconds 20\n  \
+tests/peers/latency --robots 5000,20000@1,50000@1  with another rate for some sizes\n  tests/peers/latency --set embedder.dimension=8\n  \
 tests/peers/latency --set clusterer.teams=5            with a number of teams that is given\n  \
 tests/peers/latency --busy 1                       next to a busy process for each processor\n  \
 tests/peers/latency --robots 500 --pins 20         with wishes, next to the same without"
 )]
 struct Options {
-    /// Sizes of the fleet, one run for each
-    #[arg(long, value_delimiter = ',', default_values_t = [50, 500, 5000],
-          value_parser = clap::value_parser!(u32).range(2..=i64::from(MAX_ROBOTS)))]
-    robots: Vec<u32>,
+    /// Sizes of the fleet, one run for each; with @HZ for another rate than --rate
+    #[arg(long, value_name = "ROBOTS[@HZ]", value_delimiter = ',', value_parser = Size::parse,
+          default_values = ["50", "500", "5000"])]
+    robots: Vec<Size>,
     /// Teams that the robots march in
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=64))]
     teams: u32,
@@ -70,12 +72,48 @@ struct Options {
     drive: Option<PathBuf>,
 }
 
-fn plans(options: &Options) -> anyhow::Result<Vec<RunPlan>> {
+/// A size of the fleet, and its rate if it has one of its own.
+#[derive(Debug, Clone, Copy)]
+struct Size {
+    robots: u32,
+    rate_hz: Option<f64>,
+}
+
+impl Size {
+    fn parse(text: &str) -> Result<Self, String> {
+        let (robots, rate_hz) = match text.split_once('@') {
+            Some((robots, rate)) => (robots, Some(rate)),
+            None => (text, None),
+        };
+        let robots = robots.parse().ok().filter(|robots| (2..=MAX_ROBOTS).contains(robots));
+        let robots = robots.ok_or_else(|| format!("must be 2 to {MAX_ROBOTS} robots"))?;
+        let rate_hz =
+            rate_hz.map(|rate| rate.parse().map_err(|_| format!("{rate} is no rate in Hz")));
+        Ok(Self { robots, rate_hz: rate_hz.transpose()? })
+    }
+}
+
+fn check_rate(size: Size, rate_hz: f64) -> anyhow::Result<()> {
     anyhow::ensure!(
-        (0.1..=100.0).contains(&options.rate),
-        "--rate: must be 0.1 to 100 per second, not {}",
-        options.rate
+        (0.1..=100.0).contains(&rate_hz),
+        "--rate: must be 0.1 to 100 per second, not {rate_hz}"
     );
+    let all = f64::from(size.robots) * rate_hz;
+    anyhow::ensure!(
+        all <= MAX_POSES_HZ,
+        "--robots: {} robots at {rate_hz} Hz are more than the {MAX_POSES_HZ} poses per second that one process can put; \
+         give a lower rate, as in {}@1",
+        size.robots,
+        size.robots
+    );
+    Ok(())
+}
+
+fn plans(options: &Options) -> anyhow::Result<Vec<RunPlan>> {
+    let rate_of = |size: &Size| size.rate_hz.unwrap_or(options.rate);
+    for size in &options.robots {
+        check_rate(*size, rate_of(size))?;
+    }
     let parted = |set: &String| {
         let (service, rest) = set
             .split_once('.')
@@ -83,21 +121,21 @@ fn plans(options: &Options) -> anyhow::Result<Vec<RunPlan>> {
         Ok((service.to_owned(), rest.to_owned()))
     };
     let settings = options.set.iter().map(parted).collect::<anyhow::Result<Vec<_>>>()?;
-    let plan = |robots: u32, busy: u8, pins: u32| RunPlan {
-        robots: robots as usize,
+    let plan = |size: &Size, busy: u8, pins: u32| RunPlan {
+        robots: size.robots as usize,
         teams: options.teams as usize,
-        rate_hz: options.rate,
+        rate_hz: rate_of(size),
         settles: SETTLING_TIME,
         lasts: Duration::from_secs(options.seconds),
         settings: settings.clone(),
         busy: busy.into(),
         pins: pins as usize,
     };
-    let runs = options.robots.iter().flat_map(|robots| {
-        let alone = std::iter::once(plan(*robots, 0, 0));
+    let runs = options.robots.iter().flat_map(|size| {
+        let alone = std::iter::once(plan(size, 0, 0));
         alone
-            .chain((options.busy > 0).then(|| plan(*robots, options.busy, 0)))
-            .chain((options.pins > 0).then(|| plan(*robots, 0, options.pins)))
+            .chain((options.busy > 0).then(|| plan(size, options.busy, 0)))
+            .chain((options.pins > 0).then(|| plan(size, 0, options.pins)))
     });
     Ok(runs.collect())
 }

@@ -5,7 +5,8 @@
 //! what robots and consoles receive ([`listen`]). Which poses a division is computed from is not estimated: the
 //! heading of each pose is its number, rosters repeat it, and the head of a division names the frame of
 //! the roster by the moment in which `ingest` made it ([`follow`]). [`echo`] is the round trip of a
-//! message of the same size through the router alone, and [`report`] writes what was measured.
+//! message of the same size through the router alone, [`traffic`] what each key carries, and [`report`] writes what was
+//! measured.
 //!
 //! All clocks are that of one host.
 
@@ -16,6 +17,7 @@ pub mod listen;
 pub mod report;
 pub mod run_plan;
 pub mod squads;
+pub mod traffic;
 
 /// The moment in microseconds since 1970, as in the messages of the services.
 #[must_use]

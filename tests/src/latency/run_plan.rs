@@ -10,6 +10,7 @@ use serde_json::Value;
 use super::drive::{self, Puts};
 use super::follow::{Division, Ways, follow, follow_changes};
 use super::listen::{Listener, Received};
+use super::traffic::Traffic;
 use super::{echo, now_us};
 use crate::client::Client;
 use crate::cluster::{Cluster, SERVICES};
@@ -25,6 +26,9 @@ const FORMED_WITHIN: Duration = Duration::from_secs(180);
 
 /// How long the last poses may take to become a division. They are missing after that.
 const DRAINED_WITHIN: Duration = Duration::from_secs(20);
+
+/// How long it is listened what each key carries, before anything is measured.
+const TRAFFIC_LASTS: Duration = Duration::from_secs(3);
 
 /// What services count of messages that came to an end: accepted, refused, replaced in the inbox by a
 /// newer one of the same robot.
@@ -135,6 +139,8 @@ pub struct Measured {
     pub replaced: BTreeMap<String, u64>,
     /// What each process took.
     pub taken: Vec<Taken>,
+    /// What each key carried.
+    pub traffic: Traffic,
 }
 
 impl Measured {
@@ -223,6 +229,7 @@ pub async fn run(plan: &RunPlan, progress: impl Fn(String)) -> anyhow::Result<Me
     })
     .await?;
     progress(format!("{robots} robots: divided; measuring for {:.0} s", plan.lasts.as_secs_f64()));
+    let traffic = Traffic::listen(&cluster.client().await?, robots, TRAFFIC_LASTS).await?;
     tokio::time::sleep(plan.settles).await;
     if plan.pins > 0 {
         pin(&cluster, plan)?;
@@ -267,7 +274,7 @@ pub async fn run(plan: &RunPlan, progress: impl Fn(String)) -> anyhow::Result<Me
         window,
         &puts,
         received,
-        SideMeasurements { samples, counters, idle, loaded, pings_missing },
+        SideMeasurements { samples, counters, idle, loaded, pings_missing, traffic },
     ))
 }
 
@@ -296,6 +303,7 @@ struct SideMeasurements {
     idle: Vec<f64>,
     loaded: Vec<f64>,
     pings_missing: usize,
+    traffic: Traffic,
 }
 
 fn measured(
@@ -364,6 +372,7 @@ fn measured(
         dropped,
         replaced: named(&["inbox_superseded"]),
         taken: side.samples.iter().filter_map(|(name, samples)| taken(name, samples)).collect(),
+        traffic: side.traffic,
     }
 }
 

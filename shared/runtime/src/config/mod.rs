@@ -85,6 +85,7 @@ impl From<&ProcessConfig> for BusConfig {
             listen: choice(&config.listen),
             zenoh_config: config.zenoh_config.value.clone(),
             gossip: false,
+            lease: bus::config::LEASE,
         }
     }
 }

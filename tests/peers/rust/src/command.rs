@@ -73,6 +73,10 @@ pub(crate) enum Command {
     },
     /// Operations per second of products of dense matrices.
     Gemm,
+    /// The same in single precision.
+    SingleGemm,
+    /// Square roots per second.
+    Roots,
     /// How many times as much of either two threads do as one.
     TwoThreads {
         bytes: Option<usize>,

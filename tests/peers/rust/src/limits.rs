@@ -7,6 +7,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use faer::linalg::matmul::matmul;
+use faer::traits::ComplexField;
 use faer::{Accum, Mat, Par};
 use pulp::Arch;
 
@@ -24,6 +25,10 @@ const SLEEP_TIME: Duration = Duration::from_millis(1);
 
 /// Side of the matrices that are multiplied.
 const SIDE: usize = 1024;
+
+/// Numbers whose roots are taken, twice 8 KiB, and how often in one try.
+const ROOTS: usize = 1024;
+const ROOT_PASSES: usize = 1 << 17;
 
 /// Bytes per second of a = b + s c over three arrays of `bytes` together, counting each array once.
 pub(crate) fn triad(bytes: usize) -> f64 {
@@ -46,16 +51,42 @@ pub(crate) fn triad(bytes: usize) -> f64 {
         * (passes * moved) as f64
 }
 
-/// Operations per second of a product of two dense matrices.
+/// Operations per second of a product of two dense matrices in double precision.
 pub(crate) fn gemm() -> f64 {
-    let a = Mat::from_fn(SIDE, SIDE, |i, j| (i + j) as f64 / SIDE as f64);
-    let b = Mat::from_fn(SIDE, SIDE, |i, j| (2 * i + j) as f64 / SIDE as f64);
-    let mut c = Mat::<f64>::zeros(SIDE, SIDE);
+    product_rate(|value| value)
+}
+
+/// The same in single precision.
+pub(crate) fn single_gemm() -> f64 {
+    product_rate(|value| value as f32)
+}
+
+fn product_rate<T: ComplexField>(entry: impl Fn(f64) -> T) -> f64 {
+    let a = Mat::from_fn(SIDE, SIDE, |i, j| entry((i + j) as f64 / SIDE as f64));
+    let b = Mat::from_fn(SIDE, SIDE, |i, j| entry((2 * i + j) as f64 / SIDE as f64));
+    let mut c = Mat::<T>::zeros(SIDE, SIDE);
     let seconds = best(|| {
-        matmul(c.as_mut(), Accum::Replace, a.as_ref(), b.as_ref(), 1.0, Par::Seq);
+        matmul(c.as_mut(), Accum::Replace, a.as_ref(), b.as_ref(), entry(1.0), Par::Seq);
         black_box(&c);
     });
     2.0 * (SIDE as f64).powi(3) / seconds
+}
+
+/// Square roots per second in double precision, of numbers in the first-level cache.
+pub(crate) fn roots() -> f64 {
+    let from: Vec<f64> = (0..ROOTS).map(|i| 1.0 + i as f64).collect();
+    let mut to = vec![0.0_f64; ROOTS];
+    let seconds = best(|| {
+        for _ in 0..ROOT_PASSES {
+            Arch::new().dispatch(|| {
+                for (to, from) in to.iter_mut().zip(&from) {
+                    *to = from.sqrt();
+                }
+            });
+            black_box(&mut to);
+        }
+    });
+    (ROOTS * ROOT_PASSES) as f64 / seconds
 }
 
 /// How many times as much two threads do as one, each with memory of its own, by the wall.

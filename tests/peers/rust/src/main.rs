@@ -115,6 +115,8 @@ impl Session {
             }
             Command::Triad { bytes } => json!({"value": limits::triad(bytes)}),
             Command::Gemm => json!({"value": limits::gemm()}),
+            Command::SingleGemm => json!({"value": limits::single_gemm()}),
+            Command::Roots => json!({"value": limits::roots()}),
             Command::TwoThreads { bytes } => json!({"value": limits::two_threads(|| {
                 bytes.map_or_else(limits::gemm, limits::triad)
             })}),

@@ -32,7 +32,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::linalg::Aligned;
 use crate::linalg::backend::small_symmetric::Symmetric;
-use crate::linalg::block_vectors::{self, BlockView, CHUNK_ROWS};
+use crate::linalg::block_vectors::CHUNK_ROWS;
 use crate::linalg::parallel::{Parts, Strided};
 use crate::linalg::single_block::{SINGLE_COLUMN_MULTIPLE, add_gram, add_product, rotate};
 use crate::svd::operator::symmetric::{Scales, SymmetricRows};
