@@ -26,3 +26,7 @@ pub mod relay;
 pub mod ros_load;
 pub mod simulation;
 pub mod soak;
+
+/// How many times as long as on an idle machine a test waits for what is promised there: programs are built without
+/// optimisation, and another test runs on the same two processors. What is measured without other work stands in `peers`.
+pub const BUSY: u64 = 2;

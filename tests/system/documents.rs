@@ -23,6 +23,9 @@ const COMMANDS: &str = "services/muster/README.md";
 /// How long a command without a bus may take.
 const COMMAND_WITHIN: Duration = Duration::from_secs(20);
 
+/// How long a demo of 20 s may take.
+const DEMO_WITHIN: Duration = Duration::from_secs(60);
+
 /// Most lines of the first document: what does not fit belongs into one that it links.
 const README_LINES: usize = 150;
 
@@ -100,8 +103,8 @@ fn the_readme_is_short() {
 #[test]
 fn the_demo_prints_the_teams_that_the_readme_shows() {
     let endpoint = free_endpoint().unwrap();
-    let arguments = ["demo", "--seconds", "8", "--listen", &endpoint, "--state-directory", "none"];
-    let (code, out, err) = run("muster", &arguments, COMMAND_WITHIN).unwrap();
+    let arguments = ["demo", "--seconds", "20", "--listen", &endpoint, "--state-directory", "none"];
+    let (code, out, err) = run("muster", &arguments, DEMO_WITHIN).unwrap();
     assert_eq!(code, Some(0), "{err}");
     let shown = &blocks("README.md", "demo")[0];
     // The names of the robots, and nothing that a clock decides.

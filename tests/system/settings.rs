@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use muster_tests::BUSY;
 use muster_tests::client::division;
 use muster_tests::cluster::{Cluster, SERVICES};
 use serde_json::{Value, json};
@@ -33,7 +34,8 @@ async fn settings_change_at_once_and_survive_a_restart() {
     cluster.service("clusterer").unwrap().kill().unwrap();
     cluster.start_service("clusterer").unwrap();
     watch.clear();
-    let again = watch.until("four teams again", Duration::from_secs(5), teams(4)).await.unwrap();
+    let again =
+        watch.until("four teams again", Duration::from_secs(5 * BUSY), teams(4)).await.unwrap();
     assert_eq!(division(&again), wanted);
     let settings = client.get_one("service/clusterer/settings").await.unwrap();
     assert_eq!(settings["teams"], 4);

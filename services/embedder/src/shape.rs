@@ -41,8 +41,11 @@ impl Shape {
         Ok(())
     }
 
-    /// An embedding was published, by this instance or its leader.
+    /// An embedding was published, by this instance or its leader. One of no robots says nothing of the fleet.
     pub(crate) fn note(&mut self, embedding: &Embedding) {
+        if embedding.robots.is_empty() {
+            return;
+        }
         let teams = embedding.quality.teams_shown.unwrap_or(0);
         self.newest = Some(KeptShape { teams, rank: embedding.dimension / 2 });
     }

@@ -3,7 +3,7 @@
 //! Named fleets are served from the start, those of a pattern from when their robots appear until none has been there
 //! for an hour. A fleet whose services fail is started again; the others do not notice.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use muster_auditor::Auditor;
@@ -48,6 +48,10 @@ const FIRST_PAUSE: Duration = Duration::from_secs(1);
 /// The longest pause, and how long a fleet must have run to begin with the first pause again.
 const LONGEST_PAUSE: Duration = Duration::from_secs(60);
 
+/// How long a fleet counts as refused that is not reported any more: it has no robots, or is served elsewhere. Those that have
+/// some are reported every ten seconds.
+const REFUSED_FOR: Duration = Duration::from_secs(60);
+
 /// Most fleets that are counted as refused.
 const MAX_REFUSED: usize = 10_000;
 
@@ -76,7 +80,8 @@ struct Fleets {
     shared: Shared,
     observatory: FleetsObservatory,
     served: BTreeMap<FleetId, Served>,
-    refused: BTreeSet<FleetId>,
+    /// When each was last reported.
+    refused: BTreeMap<FleetId, Instant>,
     tasks: JoinSet<(FleetId, anyhow::Result<()>)>,
 }
 
@@ -122,7 +127,7 @@ pub(crate) async fn run(
         shared,
         observatory,
         served: BTreeMap::new(),
-        refused: BTreeSet::new(),
+        refused: BTreeMap::new(),
         tasks: JoinSet::new(),
     };
     for fleet in patterns.iter().filter_map(FleetPattern::single) {
@@ -168,9 +173,15 @@ impl Fleets {
         }
         if self.served.len() < self.max_fleets {
             self.refused.remove(fleet);
+            self.observatory.refused(self.refused.len());
             return self.start(fleet);
         }
-        if self.refused.len() < MAX_REFUSED && self.refused.insert(fleet.clone()) {
+        let is_new = !self.refused.contains_key(fleet);
+        if is_new && self.refused.len() >= MAX_REFUSED {
+            return;
+        }
+        self.refused.insert(fleet.clone(), Instant::now());
+        if is_new {
             tracing::warn!(
                 "fleet {fleet} is not served: {} are, and not more may be; see --max-fleets",
                 self.max_fleets
@@ -243,6 +254,8 @@ impl Fleets {
         for fleet in again {
             self.start(&fleet);
         }
+        self.refused.retain(|_, reported| reported.elapsed() < REFUSED_FOR);
+        self.observatory.refused(self.refused.len());
         for (fleet, served) in &mut self.served {
             self.observatory.dropped(fleet, self.shared.bus.dropped(fleet));
             if served.may_idle
@@ -350,7 +363,7 @@ mod tests {
             shared: Shared { bus, pool: Pool::start().unwrap() },
             observatory,
             served: BTreeMap::new(),
-            refused: BTreeSet::new(),
+            refused: BTreeMap::new(),
             tasks: JoinSet::new(),
         };
         (router, fleets)
@@ -369,7 +382,7 @@ mod tests {
             fleets.appeared(fleet);
         }
         assert_eq!(running(&fleets), [("site-1", true), ("site-2", true)]);
-        assert_eq!(fleets.refused.iter().map(FleetId::as_str).collect::<Vec<_>>(), ["site-3"]);
+        assert_eq!(fleets.refused.keys().map(FleetId::as_str).collect::<Vec<_>>(), ["site-3"]);
         fleets.ended(Ok((named[0].clone(), Err(anyhow::anyhow!("a service failed")))));
         fleets.look();
         assert_eq!(running(&fleets), [("site-1", false), ("site-2", true)], "it waits a second");

@@ -81,10 +81,13 @@ async fn answering_first(endpoints: Vec<String>) -> Vec<String> {
     there
 }
 
-/// Whether a second session may be opened by the same configuration: clients share no address that they
-/// listen at, and have an identity each unless they are given one.
+/// Whether a second session may be opened by the same configuration: one of a client that listens at no address, and that has
+/// no id of its own.
 pub(crate) fn is_repeatable(config: &zenoh::Config) -> bool {
-    is_client(config) && config.get_json("id").is_ok_and(|id| id == "null")
+    let listens = config.get_json("listen/endpoints").is_ok_and(|endpoints| {
+        serde_json::from_str::<Vec<String>>(&endpoints).is_ok_and(|list| !list.is_empty())
+    });
+    is_client(config) && !listens && config.get_json("id").is_ok_and(|id| id == "null")
 }
 
 /// Whether a router is linked, and the listener for each change of a link. A process that never had a

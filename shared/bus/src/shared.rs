@@ -13,6 +13,7 @@
 //! lease renewals go to the bus too. Until then gets are answered in the process alone, but for those of the first seconds.
 
 mod routes;
+mod scopes;
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -30,18 +31,15 @@ use zenoh::qos::Priority;
 use zenoh::sample::{Sample, SampleKind};
 
 pub(crate) use self::routes::{FleetRoutes, ParticipantId};
+use self::scopes::Scopes;
 use crate::bus::{Bus, ConnectTimeout, LINKS_NOT_FOLLOWED, Urgency, priority_of};
 use crate::config::BusConfig;
 use crate::error::OpenError;
 use crate::get::{Answer, Ask};
-use crate::opening::{link_watch, open_session};
+use crate::opening::{is_repeatable, link_watch, open_session};
 use crate::packet::packet;
 use crate::serve::{IncomingQuery, Query, is_small_query};
 use crate::zenoh_config::zenoh_config;
-
-/// Most patterns of fleets that have subscriptions of their own: a message is compared with each. Beyond them one
-/// pattern is received that all fit, and what is not served is dropped.
-const MAX_SCOPES: usize = 16;
 
 /// Most fleets that are kept track of, served or not: names at random must not fill the memory.
 const MAX_KNOWN_FLEETS: usize = 8192;
@@ -54,6 +52,9 @@ const MAX_APPEARED: usize = 1024;
 
 /// After what time a fleet that is not served is reported again.
 const REPORT_AGAIN_AFTER: Duration = Duration::from_secs(10);
+
+/// How often fleets are let go of to make room for others.
+const SWEEP_INTERVAL: Duration = Duration::from_secs(1);
 
 /// How long gets are asked on the bus whatever is known of other processes: their tokens may be under way.
 const ASKS_BUS_FOR: Duration = Duration::from_secs(10);
@@ -97,11 +98,13 @@ struct Known {
 
 /// What all participants share.
 pub(crate) struct Hub {
-    scopes: Vec<FleetPattern>,
+    scopes: Scopes,
     receiving: zenoh::Session,
     sending: zenoh::Session,
     following: zenoh::Session,
     fleets: RwLock<HashMap<String, Arc<Known>>>,
+    /// When fleets were last let go of because there was no room.
+    swept: Mutex<Option<Instant>>,
     next_participant: AtomicU64,
     /// The texts of the tokens of services of this process.
     own_tokens: Mutex<BTreeSet<String>>,
@@ -122,22 +125,6 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Patterns that together mean every fleet that is meant, and perhaps others; not more than are received apart.
-fn scopes(patterns: &[FleetPattern]) -> Vec<FleetPattern> {
-    if patterns.len() <= MAX_SCOPES {
-        return patterns.to_vec();
-    }
-    let texts: Vec<String> = patterns.iter().map(ToString::to_string).collect();
-    let mut common = texts.first().map_or("", String::as_str);
-    for text in &texts {
-        let same = common.bytes().zip(text.bytes()).take_while(|(left, right)| left == right);
-        common = &common[..same.count()];
-    }
-    // What stands behind a star is no beginning of names.
-    let prefix = common.split('*').next().unwrap_or_default();
-    vec![FleetPattern::beginning_with(prefix)]
-}
-
 impl SharedBus {
     /// Opens the sessions for all fleets that patterns mean. Fleets that have robots and are not served are sent to the
     /// returned receiver, again and again until they are.
@@ -152,6 +139,13 @@ impl SharedBus {
         let config = config.into();
         let failed = |error: anyhow::Error| OpenError::Failed(format!("{error:#}"));
         let zenoh = zenoh_config(&config)?;
+        if !is_repeatable(&zenoh) {
+            return Err(OpenError::Config(
+                "many fleets share three sessions of one configuration, which must be that of a client that has no id, and \
+                 not an address to listen at: leave mode, id and listen out, or add --router"
+                    .to_owned(),
+            ));
+        }
         // The first waits for a router and says so; the others find the same.
         let first = Bus::open(config, timeout).await?;
         let mut sessions = vec![first.session.clone()];
@@ -171,7 +165,8 @@ impl SharedBus {
         let (appeared, appearing) = mpsc::channel(MAX_APPEARED);
         let linked = Arc::new(Mutex::new(Instant::now()));
         let hub = Arc::new(Hub {
-            scopes: scopes(patterns),
+            scopes: Scopes::new(patterns),
+            swept: Mutex::default(),
             mark: receiving.zid().to_string().into_bytes(),
             receiving,
             sending,
@@ -278,32 +273,43 @@ impl Hub {
             return Some(known);
         }
         let fleet = FleetId::new(name).ok()?;
-        let is_meant = self.scopes.iter().any(|scope| scope.matches(name));
-        (is_meant && self.has_room()).then(|| self.serve_fleet(&fleet))
+        (self.scopes.mean(name) && self.has_room()).then(|| self.serve_fleet(&fleet))
     }
 
-    /// Whether one more fleet may be known, after those are let go of that no one serves and that have no robots.
+    /// Whether one more fleet may be known, after those are let go of that no one serves and that have no robots. Looking
+    /// for them takes the time of thousands of messages, so that names at random must not make it happen with each.
     fn has_room(&self) -> bool {
-        let mut fleets = self.fleets.write().unwrap_or_else(PoisonError::into_inner);
-        if fleets.len() >= MAX_KNOWN_FLEETS {
-            let is_used = |known: &Arc<Known>| {
-                Arc::strong_count(&known.routes) > 1
-                    || known.routes.without_robots_for() < REPORT_AGAIN_AFTER
-            };
-            fleets.retain(|_, known| is_used(known));
+        let has_room = |count: usize| count < MAX_KNOWN_FLEETS;
+        if has_room(self.fleets.read().unwrap_or_else(PoisonError::into_inner).len()) {
+            return true;
         }
-        fleets.len() < MAX_KNOWN_FLEETS
+        let now = Instant::now();
+        let lately = |at: Instant| now.saturating_duration_since(at) < SWEEP_INTERVAL;
+        {
+            let mut swept = lock(&self.swept);
+            if swept.is_some_and(lately) {
+                return false;
+            }
+            *swept = Some(now);
+        }
+        let mut fleets = self.fleets.write().unwrap_or_else(PoisonError::into_inner);
+        let is_used = |known: &Arc<Known>| {
+            Arc::strong_count(&known.routes) > 1
+                || known.routes.without_robots_for() < REPORT_AGAIN_AFTER
+        };
+        fleets.retain(|_, known| is_used(known));
+        has_room(fleets.len())
     }
 
     async fn declare(self: &Arc<Self>) -> anyhow::Result<()> {
-        for scope in &self.scopes {
+        for (at, scope) in self.scopes.received().enumerate() {
             // Not what a robot misspelt: what services put for robots has keys of the same form, and would come back.
             let streams = Pattern::streams().into_iter();
             for pattern in streams.filter(|pattern| *pattern != Pattern::UnknownStreams) {
                 let hub = Arc::downgrade(self);
                 self.subscribe(&scope.keys(&pattern), move |sample| {
                     if let Some(hub) = hub.upgrade() {
-                        hub.receive(&sample);
+                        hub.receive(at, &sample);
                     }
                 })
                 .await?;
@@ -315,7 +321,7 @@ impl Hub {
                 .declare_queryable(text.as_str())
                 .callback(move |query| {
                     if let Some(hub) = hub.upgrade() {
-                        hub.answer(query);
+                        hub.answer(at, query);
                     }
                 })
                 .background()
@@ -329,7 +335,7 @@ impl Hub {
                 .history(true)
                 .callback(move |sample| {
                     if let Some(hub) = hub.upgrade() {
-                        hub.token(&sample);
+                        hub.token(at, &sample);
                     }
                 })
                 .background()
@@ -361,7 +367,7 @@ impl Hub {
         tracing::info!("another process has services of these fleets; all they put is received");
         let this = Arc::clone(self);
         let declaring = move || {
-            for scope in &this.scopes {
+            for (at, scope) in this.scopes.received().enumerate() {
                 let text = scope.keys(&Pattern::Everything);
                 let hub = hub.clone();
                 let declared = this
@@ -371,7 +377,7 @@ impl Hub {
                         if let Some(hub) = hub.upgrade()
                             && !is_of_robot(sample.key_expr())
                         {
-                            hub.receive(&sample);
+                            hub.receive(at, &sample);
                         }
                     })
                     .background()
@@ -390,11 +396,10 @@ impl Hub {
     }
 
     /// A message has come over the bus.
-    fn receive(&self, sample: &Sample) {
+    fn receive(&self, scope: usize, sample: &Sample) {
         let key = sample.key_expr();
-        let Some(known) = fleet_name(key.as_str()).and_then(|name| self.notice(name)) else {
-            return;
-        };
+        let name = fleet_name(key.as_str()).filter(|name| self.scopes.receive(scope, name));
+        let Some(known) = name.and_then(|name| self.notice(name)) else { return };
         let of_robot = is_of_robot(key);
         if of_robot && !known.routes.robot_reports() {
             return;
@@ -418,9 +423,12 @@ impl Hub {
     }
 
     /// A token has appeared or is gone.
-    fn token(self: &Arc<Self>, sample: &Sample) {
+    fn token(self: &Arc<Self>, scope: usize, sample: &Sample) {
         let text = sample.key_expr().as_str();
         let Some((fleet, key)) = parse_any(text) else { return };
+        if !self.scopes.receive(scope, fleet.as_str()) {
+            return;
+        }
         let Some(known) = self.notice(fleet.as_str()) else { return };
         let source = match sample.kind() {
             SampleKind::Put => Source::TokenAlive,
@@ -448,7 +456,7 @@ impl Hub {
     }
 
     /// A get has come over the bus.
-    fn answer(&self, mut query: zenoh::query::Query) {
+    fn answer(&self, scope: usize, mut query: zenoh::query::Query) {
         if query.attachment().is_some_and(|mark| mark.to_bytes() == self.mark) {
             return;
         }
@@ -458,7 +466,10 @@ impl Hub {
         let payload =
             query.payload_mut().map(std::mem::take).map(|bytes| bytes.to_bytes().into_owned());
         let selector: &keyexpr = query.key_expr();
-        for known in self.asked(selector) {
+        let asked = self.asked(selector).into_iter();
+        for known in
+            asked.filter(|one| self.scopes.receive(scope, one.routes.space.fleet().as_str()))
+        {
             let mut servers = known.routes.servers(selector, None);
             // The leader's answer suffices for who is no service; a service wants all.
             if !self.has_others()
@@ -596,33 +607,4 @@ impl Participant {
 /// Whether a key stands below a robot.
 fn is_of_robot(key: &keyexpr) -> bool {
     key.as_str().split('/').nth(3) == Some("robot")
-}
-
-#[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-mod tests {
-    use super::*;
-
-    fn patterns(texts: &[&str]) -> Vec<FleetPattern> {
-        texts.iter().map(|text| text.parse().unwrap()).collect()
-    }
-
-    #[test]
-    fn few_patterns_are_received_apart_and_many_by_what_they_begin_with() {
-        let few = patterns(&["a", "b-*"]);
-        assert_eq!(scopes(&few), few);
-        let named = |prefix: &str| -> Vec<String> {
-            (0..=MAX_SCOPES).map(|at| format!("{prefix}{at}")).collect()
-        };
-        let many = |names: &[String]| {
-            let names: Vec<&str> = names.iter().map(String::as_str).collect();
-            scopes(&patterns(&names))
-        };
-        assert_eq!(many(&named("site-")), patterns(&["site-*"]));
-        assert_eq!(many(&[named("site-"), named("x")].concat()), patterns(&["*"]));
-        assert_eq!(
-            many(&[named("site-"), vec!["site-*-x".into()]].concat()),
-            patterns(&["site-*"])
-        );
-    }
 }

@@ -1,6 +1,7 @@
 //! One thread for the queues of many: each has its turn with one message, so that none keeps the others waiting.
 
 use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Something that has its turn when it asked for one; whether it wants another.
@@ -60,7 +61,11 @@ impl Turns {
                 continue;
             };
             drop(state);
-            let again = turn();
+            // One that panics must not silence the others: it is not asked again.
+            let again = catch_unwind(AssertUnwindSafe(|| turn())).unwrap_or_else(|_| {
+                tracing::error!("a turn has panicked");
+                false
+            });
             state = self.state();
             if again {
                 state.waiting.push_back(turn);

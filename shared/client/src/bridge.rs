@@ -34,16 +34,13 @@ pub struct BridgeGet {
 
 impl BridgeGets {
     /// The next get. It may be cancelled at any time, as in `select!`, without losing one. While too many answers wait for the
-    /// link, gets are dropped: whoever asked receives no answer.
+    /// link, it waits as well.
     pub async fn next(&mut self) -> BridgeGet {
-        loop {
-            let Some(query) = self.receiver.recv().await else {
-                // The session is closed: no get comes any more.
-                return std::future::pending().await;
-            };
-            if let Ok(permit) = Arc::clone(&self.answering).try_acquire_owned() {
-                return BridgeGet { query, space: self.space.clone(), permit };
-            }
+        let permit = Arc::clone(&self.answering).acquire_owned().await;
+        match (permit, self.receiver.recv().await) {
+            (Ok(permit), Some(query)) => BridgeGet { query, space: self.space.clone(), permit },
+            // The session is closed: no get comes any more.
+            _ => std::future::pending().await,
         }
     }
 }

@@ -20,8 +20,12 @@ use super::{SOON, Secured, open, text};
 /// Robots with a session each. With the services there are 40 clients.
 const ROBOTS: usize = 36;
 
-/// How soon after the router has started again all clients are back.
-const BACK_WITHIN: Duration = Duration::from_secs(5);
+/// How soon after the router has started again all clients are back, 5 s on an idle machine: one stranger costs 30 s in Zenoh's own
+/// listener of QUIC, and that of TLS never comes to an end.
+const BACK_WITHIN: Duration = Duration::from_secs(15);
+
+/// How soon a client is there that comes after silent connections, which cost 10 s in Zenoh's own configuration.
+const THERE_WITHIN: Duration = Duration::from_secs(8);
 
 /// How long the beginnings of handshakes are gathered: several attempts of a client of Zenoh.
 const GATHERING: Duration = Duration::from_secs(4);
@@ -212,6 +216,6 @@ async fn silent_connections_keep_nobody_out_of_a_plain_router() {
     tokio::time::sleep(Duration::from_millis(500)).await;
     let start = Instant::now();
     Client::connect(&endpoint, "alpha").await.unwrap();
-    assert!(start.elapsed() < BACK_WITHIN, "after {:?}", start.elapsed());
+    assert!(start.elapsed() < THERE_WITHIN, "after {:?}", start.elapsed());
     drop(silent);
 }

@@ -201,6 +201,10 @@ impl Fleets {
 impl super::http::Shown for Fleets {
     fn healthz(&self) -> (bool, Value) {
         self.answer("alive", "not_alive", |known| {
+            // What has failed is started again after a pause, in which nothing of it turns.
+            if known.failed.is_some() {
+                return Map::new();
+            }
             let looks =
                 known.shared.watched.iter().map(|watched| (watched.service, watched.look()));
             let hanging = looks.filter(|(_, look)| !health::is_alive(look));
