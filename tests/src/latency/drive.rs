@@ -1,6 +1,6 @@
 //! A process of robots, which put poses at a rate, each with a phase of its own, and writes down when.
 //!
-//! The robots share one Zenoh session and put JSON, as `muster robot` does, by declared keys: a
+//! The robots share one Zenoh session and put JSON, as `muster robot` does, by declared publishers: a
 //! router searches all keys of the fleet for the receivers of each message on an undeclared key.
 //! Each robot has its token, and subscribes to its team. A robot that also reports links or its rank does so
 //! just before a pose, so that the pose is its last message: the roster then contains when `ingest` received
@@ -146,24 +146,27 @@ pub fn pose_json(at: [f64; 2], number: u64, boot: &str, stamp_us: u64) -> String
 pub async fn run(drive: &Drive) -> anyhow::Result<()> {
     let client = Client::connect_for_many(&drive.endpoint, &drive.fleet).await?;
     let squads = Squads::new(drive.robots, drive.teams);
-    let (mut tokens, mut keys) = (Vec::new(), Vec::new());
+    let (mut tokens, mut publishers) = (Vec::new(), Vec::new());
     for robot in (0..drive.robots).map(robot_name) {
         tokens.push(client.token(&format!("robot/{robot}")).await?);
         // The listener measures the messages on teams and their arrival; but robots subscribe as well.
         client.listen(&format!("robot/{robot}/team"), |_, _| {}).await?;
         for (_, stream) in STREAMS {
-            let key = client.key(&format!("robot/{robot}/{stream}"));
-            let key = client.session().declare_keyexpr(key).await;
-            keys.push(key.map_err(|error| anyhow::anyhow!("{robot}: {error}"))?);
+            let publisher = client
+                .session()
+                .declare_publisher(client.key(&format!("robot/{robot}/{stream}")))
+                .encoding(Encoding::APPLICATION_JSON)
+                .await;
+            publishers.push(publisher.map_err(|error| anyhow::anyhow!("{robot}: {error}"))?);
         }
     }
     let (drive, folder) = (drive.clone(), drive.folder.clone());
     let driving = tokio::task::spawn_blocking(move || {
         let mut puts = Puts { poses: vec![Vec::new(); drive.robots], messages: 0 };
         let put = |robot: usize, stream: Stream, payload: String| {
-            let key = &keys[robot * STREAMS.len() + stream as usize];
-            let put = client.session().put(key, payload).encoding(Encoding::APPLICATION_JSON);
-            put.wait().map_err(|error| anyhow::anyhow!("{key}: {error}"))
+            let publisher = &publishers[robot * STREAMS.len() + stream as usize];
+            let put = publisher.put(payload).wait();
+            put.map_err(|error| anyhow::anyhow!("{}: {error}", publisher.key_expr()))
         };
         put_reports(&drive, &squads, put, &mut puts)?;
         anyhow::Ok(puts)
