@@ -1,6 +1,6 @@
 //! Many fleets on one host: what `muster up --fleets` takes for them, and how often and how late it divides each.
 //!
-//! The robots of fifty fleets share a session and put by declared keys, as `muster robot` does, each in its
+//! The robots of fifty fleets share a session and put by declared publishers, as `muster robot` does, each in its
 //! turn. A sample of the fleets is listened to; how often all of them are divided, the host itself counts.
 
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,9 +9,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use serde_json::json;
+use zenoh::Wait;
 use zenoh::bytes::Encoding;
-use zenoh::key_expr::KeyExpr;
-use zenoh::{Session, Wait};
+use zenoh::pubsub::Publisher;
 
 use crate::client::Client;
 use crate::latency::drive::pose_json;
@@ -145,7 +145,7 @@ impl Robots {
 
 struct Fleet {
     /// Of each robot, by its number: pose, links and rank.
-    keys: Vec<[KeyExpr<'static>; 3]>,
+    publishers: Vec<[Publisher<'static>; 3]>,
     squads: Squads,
     phase: f64,
 }
@@ -186,14 +186,17 @@ fn report(
     let mut joined: Vec<Fleet> = Vec::new();
     let mut tokens = Vec::new();
     for fleet in fleets {
-        let mut keys = Vec::new();
+        let mut publishers = Vec::new();
         for robot in (0..load.robots).map(robot_name) {
             let begin = Instant::now();
             let key = |tail: &str| format!("muster/v1/{}/robot/{robot}{tail}", fleet_name(*fleet));
             let failed = |error: zenoh::Error| anyhow::anyhow!("{robot}: {error}");
             tokens.push(session.liveliness().declare_token(key("")).wait().map_err(failed)?);
-            let declared = |tail: &str| session.declare_keyexpr(key(tail)).wait().map_err(failed);
-            keys.push([declared("/pose")?, declared("/links")?, declared("/rank")?]);
+            let declared = |tail: &str| {
+                let publisher = session.declare_publisher(key(tail));
+                publisher.encoding(Encoding::APPLICATION_JSON).wait().map_err(failed)
+            };
+            publishers.push([declared("/pose")?, declared("/links")?, declared("/rank")?]);
             if stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
@@ -206,7 +209,7 @@ fn report(
         read.wait().map_err(|error| anyhow::anyhow!("{error}"))?;
         // Neither all fleets nor all robots report in the same moment.
         let phase = period * (*fleet as f64 / load.fleets as f64);
-        joined.push(Fleet { keys, squads: Squads::new(load.robots, TEAMS), phase });
+        joined.push(Fleet { publishers, squads: Squads::new(load.robots, TEAMS), phase });
     }
     let mut turns: Vec<(f64, usize, usize)> = Vec::new();
     for (at, fleet) in joined.iter().enumerate() {
@@ -228,25 +231,18 @@ fn report(
                 return Ok(());
             }
             let fleet = joined.get(*at).context("a fleet is missing")?;
-            put(session, fleet, *robot, round, begin.elapsed().as_secs_f64(), &boot)?;
+            put(fleet, *robot, round, begin.elapsed().as_secs_f64(), &boot)?;
         }
     }
     Ok(())
 }
 
 /// The reports of a robot that are due.
-fn put(
-    session: &Session,
-    fleet: &Fleet,
-    robot: usize,
-    round: u64,
-    t: f64,
-    boot: &str,
-) -> anyhow::Result<()> {
-    let Some([pose, links, rank]) = fleet.keys.get(robot) else { return Ok(()) };
-    let put = |key: &KeyExpr<'static>, payload: String| {
-        let put = session.put(key, payload).encoding(Encoding::APPLICATION_JSON);
-        put.wait().map_err(|error| anyhow::anyhow!("{key}: {error}"))
+fn put(fleet: &Fleet, robot: usize, round: u64, t: f64, boot: &str) -> anyhow::Result<()> {
+    let Some([pose, links, rank]) = fleet.publishers.get(robot) else { return Ok(()) };
+    let put = |publisher: &Publisher<'static>, payload: String| {
+        let put = publisher.put(payload).wait();
+        put.map_err(|error| anyhow::anyhow!("{}: {error}", publisher.key_expr()))
     };
     let turn = round + robot as u64;
     if round == 0 || turn.is_multiple_of(LINKS_EVERY) {

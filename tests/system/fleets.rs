@@ -220,7 +220,7 @@ async fn a_flooded_fleet_that_cannot_store_anything_does_not_delay_another() {
     // Where no robot moves, a division is repeated each second; a shared queue would let none through.
     assert!(ages.len() >= 4, "{} divisions with {flooded} messages", ages.len());
     assert!(longest_pause < 10.0, "none for {longest_pause} s with {flooded} messages");
-    assert!(oldest < 10.0, "data of {oldest} s beside {flooded} messages");
+    assert!(oldest < 10.0, "data of {oldest} s with {flooded} messages");
     let samples = samples(&host.address);
     let unwritable = |fleet| {
         let labels = [("fleet", fleet), ("service", "clusterer")];

@@ -55,7 +55,7 @@ pub struct Decomposition {
     pub residual: f64,
     /// Whether the residual is within the tolerance.
     pub converged: bool,
-    /// Whether no stronger triplet is missing, as far as can be told: only then do residual and gap bound the
+    /// Whether no stronger triplet is missing, as far as is known: only then do residual and gap bound the
     /// angles to the true subspaces. See [`KatzSvdReport::complete`].
     pub complete: bool,
     /// S, where it was formed.

@@ -21,6 +21,14 @@ fn ranks(reports: &[(String, Report)]) -> usize {
     reports.iter().filter(|(_, report)| matches!(report, Report::Rank(_))).count()
 }
 
+/// Robots that name their superiors.
+const SUPERIORS: &str = r#"
+    [[rank]]
+    topic = "/{robot}/superior"
+    type = "std_msgs/String"
+    superior = "data"
+"#;
+
 #[test]
 fn numbers_of_the_bridge_never_begin_again() {
     let mut world = World::new(
@@ -282,14 +290,7 @@ fn a_publisher_whose_numbers_do_not_grow_is_refused() {
 
 #[test]
 fn what_a_publisher_keeps_is_reported_once_however_often_it_is_asked_for() {
-    let mut world = World::new(
-        r#"
-        [[rank]]
-        topic = "/{robot}/superior"
-        type = "std_msgs/String"
-        superior = "data"
-        "#,
-    );
+    let mut world = World::new(SUPERIORS);
     let mut superior = world.message("std_msgs/String");
     superior.set("data", "r1").unwrap();
     let mut reports = 0;
@@ -304,14 +305,7 @@ fn what_a_publisher_keeps_is_reported_once_however_often_it_is_asked_for() {
 
 #[test]
 fn what_a_robot_said_once_is_put_again_while_it_reports_where_it_is() {
-    let mut world = World::new(
-        r#"
-        [[rank]]
-        topic = "/{robot}/superior"
-        type = "std_msgs/String"
-        superior = "data"
-        "#,
-    );
+    let mut world = World::new(SUPERIORS);
     let mut superior = world.message("std_msgs/String");
     superior.set("data", "r1").unwrap();
     world.put("r2/superior", &superior);

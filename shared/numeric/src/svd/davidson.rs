@@ -311,7 +311,7 @@ impl Search<'_> {
             self.work.polynomial.is_poor().then(|| Factors::new(self.operator)).flatten();
     }
 
-    /// True when the symmetric part has led the search to all triplets as far as can be told.
+    /// True when the symmetric part has led the search to all triplets, as far as is known.
     fn sees_all(&mut self, out: &Triplets) -> bool {
         let Workspace { symmetric, single, .. } = &mut *self.work;
         let last = self.request.rank.min(out.sigma.len()).checked_sub(1);

@@ -117,7 +117,7 @@ impl Bridged {
         match &sample.said {
             Said::Odometry { frame, at } => {
                 let publishers = self.robots.entry(robot.clone()).or_default();
-                publishers.heard(now, &sample.gid);
+                publishers.receive(now, &sample.gid);
                 let newest = publishers.newest.entry(sample.gid.clone()).or_default();
                 *newest = (*newest).max(sample.sequence);
                 let name = (sample.gid.clone(), sample.sequence);
@@ -321,7 +321,7 @@ impl Bridged {
 impl Publishers {
     /// There is a message of a publisher. The one that appeared last counts, and one that it replaced does only when it is
     /// silent.
-    fn heard(&mut self, now: Micros, gid: &str) {
+    fn receive(&mut self, now: Micros, gid: &str) {
         match &mut self.current {
             Some((current, last)) if current == gid => *last = now,
             Some((current, last)) => {
