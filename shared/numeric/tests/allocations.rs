@@ -105,10 +105,11 @@ fn updates_of_the_similarity_allocate_nothing_in_the_steady_state() {
     let radius = roomy(&swaying(n, 0, None));
     let alpha = 0.5 / radius.upper;
     let mut cached = CachedKatz::default();
-    for frame in 0..3 {
+    // Until updates have been added to the matrix twice.
+    for frame in 0..20 {
         cached.update(&swaying(n, frame, Some(4)), alpha, &radius, None).unwrap();
     }
-    for frame in 3..30 {
+    for frame in 20..50 {
         let a = swaying(n, frame, Some(4));
         let mut method = Method::Kept;
         let counted = measure(|| {

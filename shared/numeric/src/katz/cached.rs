@@ -1,9 +1,11 @@
 //! The Katz similarity of all pairs, updated from frame to frame.
 //!
 //! Solving for S costs 8/3 n³ multiply-adds. When a few robots move, the Woodbury identity gives
-//! the new S for 2n² per changed row or column. The changes are found by comparing the matrices,
-//! not from a list of moved robots, as those change the neighbourhood of others too. Robots that
-//! join or leave are rows and columns that appear or disappear.
+//! the new S as the old one and a product of two thin matrices. These cost some rows of S per changed
+//! row or column; the product itself, 2n² each, is added once many have gathered. The changes are
+//! found by comparing the matrices, not from a list of moved robots, as those change the
+//! neighbourhood of others too. Robots that join or leave are rows and columns that appear or
+//! disappear.
 //!
 //! Rounding errors accumulate very slowly (4e-15 after 10,000 updates), but without proof: every
 //! update ends with a probe of the whole matrix, and S is solved from scratch when the probe is too
@@ -11,6 +13,7 @@
 
 mod changes;
 mod entries;
+mod low_rank_sum;
 mod woodbury;
 
 use rand::{Rng, SeedableRng};
@@ -22,7 +25,8 @@ use super::similarity::{katz_probe, katz_similarity};
 use crate::linalg::matrix::{MatrixError, SparseMatrix};
 use crate::radius::exact::SpectralRadius;
 use changes::{Changes, Row};
-use woodbury::{Woodbury, multiply};
+use low_rank_sum::LowRankSum;
+use woodbury::Woodbury;
 
 /// Most nodes of a cached similarity. 4096² entries are 128 MiB, and solving takes seconds.
 pub const MAX_CACHED_NODES: usize = 4096;
@@ -72,7 +76,8 @@ pub struct Update {
     /// Estimate of the reciprocal condition of the capacitance matrix; 1 without one.
     pub condition: f64,
     /// The accuracy of S. After a solution, that of [`katz_probe`]; after an update ‖M(S + I)z −
-    /// z‖/‖z‖ for a random z of ±1, M = I − αA, which is larger where entries of S are.
+    /// z‖/‖z‖ for a random z of ±1, M = I − αA, which is larger where entries of S are. A new z is drawn
+    /// whenever updates are added to the matrix.
     pub probe: f64,
 }
 
@@ -88,10 +93,10 @@ pub struct Update {
 #[derive(Debug, Default)]
 pub struct CachedKatz {
     alpha: f64,
-    /// Number of slots, the side of `s`.
+    /// Number of slots.
     slots: usize,
-    /// S in rows of `slots` entries. Rows and columns of free slots are zero.
-    s: Vec<f64>,
+    /// S in slots, or nothing. Rows and columns of free slots are zero.
+    s: LowRankSum,
     /// Slot of each node.
     place: Vec<u32>,
     free: Vec<u32>,
@@ -111,8 +116,6 @@ pub struct CachedKatz {
     probes: u64,
     changes: Changes,
     woodbury: Woodbury,
-    sign: Vec<f64>,
-    image: Vec<f64>,
     arrived: Vec<u32>,
 }
 
@@ -254,14 +257,8 @@ impl CachedKatz {
     fn grow(&mut self, count: usize) {
         let old = self.slots;
         let new = old + count + old / FREE_SLOT_SHARE;
-        if self.s.len() == old * old {
-            self.s.resize(new * new, 0.0);
-            // In descending order, so that no row is overwritten before it has moved.
-            for i in (1..old).rev() {
-                self.s.copy_within(i * old..(i + 1) * old, i * new);
-                self.s[i * new + old..(i + 1) * new].fill(0.0);
-            }
-            self.s[old..new].fill(0.0);
+        if self.s.side() == old {
+            self.s.grow(new);
         }
         for rows in [&mut self.basis, &mut self.latest] {
             rows.resize_with(new, Row::new);
@@ -301,18 +298,15 @@ impl CachedKatz {
             return self.solve(Method::TooMany, rank, 1.0);
         }
         let mut condition = 1.0;
-        self.draw_signs();
         if rank > 0 {
-            condition = self.woodbury.prepare(&self.s, m, self.alpha, &self.changes);
+            condition = self.woodbury.prepare(&self.s, self.alpha, &self.changes);
             if condition < MIN_CONDITION {
                 return self.solve(Method::IllConditioned, rank, condition);
             }
-            self.woodbury.apply(&mut self.s, m, &self.sign, &mut self.image);
-        } else {
-            multiply(&mut self.s, m, &self.sign, &mut self.image);
+            self.woodbury.apply(&mut self.s);
         }
         self.accept_latest();
-        let probe = self.finish_probe();
+        let probe = self.probe();
         // Written so that NaN fails the comparison too.
         if !matches!(probe, p if p <= MAX_PROBE) {
             return self.solve(Method::Inexact, rank, condition);
@@ -336,22 +330,14 @@ impl CachedKatz {
 
     /// Makes the last graph the one that S belongs to, and frees the slots of nodes that left.
     fn accept_latest(&mut self) {
-        let m = self.slots;
-        for slot in 0..m {
+        for slot in 0..self.slots {
             if std::mem::take(&mut self.is_dirty[slot]) {
                 self.basis[slot].clone_from(&self.latest[slot]);
             }
         }
         for slot in self.leaving.drain(..) {
-            let at = slot as usize;
-            let sign = self.sign[at];
-            self.s[at * m..(at + 1) * m].fill(0.0);
-            for (row, image) in self.s.chunks_exact_mut(m).zip(&mut self.image) {
-                *image -= row[at] * sign;
-                row[at] = 0.0;
-            }
-            self.image[at] = 0.0;
-            self.is_leaving[at] = false;
+            self.s.clear_line(slot as usize);
+            self.is_leaving[slot as usize] = false;
             self.free.push(slot);
         }
         self.is_current = true;
@@ -375,47 +361,35 @@ impl CachedKatz {
             self.latest[i].extend(a.row(i).map(|(j, w)| (j as u32, w)));
         }
         // Free the old matrix before the new one is built.
-        self.s = Vec::new();
+        self.s.clear();
         let s = katz_similarity(&a, self.alpha, &self.radius)?;
         let probe = katz_probe(&a, self.alpha, &s, self.probes)?;
         self.probes = self.probes.wrapping_add(1);
-        self.s = s.into_data();
+        self.s.replace(n, s.into_data());
         self.is_valid = true;
         self.accept_latest();
         Ok(Update { method, rank, condition, probe })
     }
 
-    /// Draws a random vector of ±1, a different one each time, the same in every run.
-    fn draw_signs(&mut self) {
-        let mut rng = ChaCha8Rng::seed_from_u64(self.probes);
-        self.probes = self.probes.wrapping_add(1);
-        self.sign.clear();
-        while self.sign.len() < self.slots {
-            let bits = rng.next_u64();
-            let left = (self.slots - self.sign.len()).min(64);
-            self.sign.extend((0..left).map(|b| if bits >> b & 1 == 0 { 1.0 } else { -1.0 }));
-        }
-        self.image.clear();
-        self.image.resize(self.slots, 0.0);
-    }
-
+    /// ‖M(S + I)z − z‖/‖z‖ for a random z of ±1, the same ones in every run.
     fn probe(&mut self) -> f64 {
-        self.draw_signs();
-        multiply(&mut self.s, self.slots, &self.sign, &mut self.image);
-        self.finish_probe()
-    }
-
-    /// ‖M(S + I)z − z‖/‖z‖ from S z in `image`.
-    fn finish_probe(&mut self) -> f64 {
-        for (image, sign) in self.image.iter_mut().zip(&self.sign) {
-            *image += sign;
-        }
+        let probes = &mut self.probes;
+        let (signs, image) = self.s.image(|signs| {
+            let mut rng = ChaCha8Rng::seed_from_u64(*probes);
+            *probes = probes.wrapping_add(1);
+            for some in signs.chunks_mut(64) {
+                let bits = rng.next_u64();
+                for (b, sign) in some.iter_mut().enumerate() {
+                    *sign = if bits >> b & 1 == 0 { 1.0 } else { -1.0 };
+                }
+            }
+        });
         let mut squares = 0.0;
         for &slot in &self.place {
             let slot = slot as usize;
             let row = self.basis[slot].iter();
-            let walked: f64 = row.map(|&(j, w)| w * self.image[j as usize]).sum();
-            squares += (self.image[slot] - self.alpha * walked - self.sign[slot]).powi(2);
+            let walked: f64 = row.map(|&(j, w)| w * (image[j as usize] + signs[j as usize])).sum();
+            squares += (image[slot] - self.alpha * walked).powi(2);
         }
         if self.place.is_empty() { 0.0 } else { (squares / self.place.len() as f64).sqrt() }
     }

@@ -18,15 +18,19 @@ impl CachedKatz {
 
     /// A copy of S, n × n, in the order of the nodes. `None` while changes are pending.
     #[must_use]
-    pub fn similarity(&self) -> Option<DenseMatrix> {
-        let n = self.place.len();
-        let at = |i: usize, j: usize| self.place[i] as usize * self.slots + self.place[j] as usize;
-        self.is_current.then(|| DenseMatrix::from_fn(n, n, |i, j| self.s[at(i, j)].max(0.0)))
+    pub fn similarity(&mut self) -> Option<DenseMatrix> {
+        if !self.is_current {
+            return None;
+        }
+        self.s.add_updates();
+        let (n, s, place) = (self.place.len(), &self.s, &self.place);
+        let entry = |i: usize, j: usize| s.base_row(place[i] as usize)[place[j] as usize];
+        Some(DenseMatrix::from_fn(n, n, |i, j| entry(i, j).max(0.0)))
     }
 
     fn entry(&self, i: usize, j: usize) -> Option<f64> {
         let (i, j) = (*self.place.get(i)? as usize, *self.place.get(j)? as usize);
-        self.is_current.then(|| self.s[i * self.slots + j])
+        self.is_current.then(|| self.s.entry(i, j))
     }
 
     /// Share of each graph in S_ij, where A = Σ w_m A_m.

@@ -1,4 +1,4 @@
-//! LU of small general systems in reused memory, and the product that applies their solutions.
+//! LU of small general systems in reused memory, and the products that apply their solutions.
 
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::lu::partial_pivoting::{factor, solve};
@@ -141,6 +141,19 @@ pub(crate) fn add_product(p: &[f64], z: &[f64], out: &mut [f64], k: usize, n: us
         MatMut::from_row_major_slice_mut(out, m, n),
         Accum::Add,
         MatRef::from_row_major_slice(p, m, k),
+        MatRef::from_row_major_slice(z, k, n),
+        1.0,
+        Par::Seq,
+    );
+}
+
+/// `out` += Pᵀ Z for P k × m, Z k × n and `out` m × n, all row-major.
+pub(crate) fn add_transposed_product(p: &[f64], z: &[f64], out: &mut [f64], k: usize, n: usize) {
+    let m = out.len() / n.max(1);
+    matmul(
+        MatMut::from_row_major_slice_mut(out, m, n),
+        Accum::Add,
+        MatRef::from_column_major_slice(p, m, k),
         MatRef::from_row_major_slice(z, k, n),
         1.0,
         Par::Seq,
