@@ -1,10 +1,11 @@
 //! Puts by declared keys, for those who put to the same keys of robots again and again.
 
-use std::collections::HashMap;
-use std::sync::Arc;
+use std::collections::{HashMap, HashSet};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use muster_wire::{Attachment, Key, Outbound, Packet};
+use muster_model::id::RobotId;
+use muster_wire::{Attachment, Key, Outbound, Packet, Pattern, Source};
 use zenoh::Wait;
 use zenoh::key_expr::KeyExpr;
 use zenoh::pubsub::Publisher;
@@ -30,9 +31,14 @@ const SWEEP_INTERVAL: Duration = Duration::from_secs(60);
 /// a subscriber of that very key, and computes it for each message otherwise, which takes more than 0.1 ms with 500 robots. A
 /// robot subscribes to its team, so that those who put it declare the key alone. Publishers have a price too: by each a session
 /// asks its router who subscribes, and the router goes through the questions of all sessions for each new subscription.
+///
+/// The team of a robot without a token is put by its text. Such a robot reports through a bridge or a gateway, which declares nothing
+/// for it: where no robot has keys at the router there is nothing to compare with, and a key declared for each of 20,000 would make
+/// each of their poses cost 16 ms there.
 #[derive(Debug)]
 pub struct DeclaredKeys {
     bus: Bus,
+    tokens: RobotTokens,
     declared: HashMap<String, Declared>,
     swept: Instant,
 }
@@ -50,6 +56,39 @@ enum Form {
     Key(KeyExpr<'static>),
 }
 
+/// The robots that have a liveliness token, as far as they are followed.
+#[derive(Debug, Clone, Default)]
+pub struct RobotTokens(Arc<Mutex<HashSet<RobotId>>>);
+
+impl RobotTokens {
+    /// Follows the tokens of a fleet, for as long as the session lives.
+    ///
+    /// # Errors
+    /// If the session is closed, or one for tokens cannot be opened.
+    pub async fn follow(&self, bus: &Bus) -> anyhow::Result<()> {
+        let (tokens, space) = (self.clone(), bus.space.clone());
+        let receive = move |packet: Packet| {
+            if let Ok(Key::RobotToken(robot)) = space.parse(&packet.key) {
+                tokens.note(robot, packet.source == Source::TokenAlive);
+            }
+        };
+        bus.subscribe_tokens(&Pattern::RobotTokens, receive).await
+    }
+
+    fn note(&self, robot: RobotId, is_there: bool) {
+        let mut robots = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if !is_there {
+            robots.remove(&robot);
+        } else if robots.len() < MAX_DECLARED {
+            robots.insert(robot);
+        }
+    }
+
+    fn contain(&self, robot: &RobotId) -> bool {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).contains(robot)
+    }
+}
+
 impl Clone for Form {
     fn clone(&self) -> Self {
         match self {
@@ -62,15 +101,21 @@ impl Clone for Form {
 impl Clone for DeclaredKeys {
     /// Puts on the same bus, and declares for itself.
     fn clone(&self) -> Self {
-        Self::new(self.bus.clone())
+        Self::with_tokens(self.bus.clone(), self.tokens.clone())
     }
 }
 
 impl DeclaredKeys {
-    /// No key is declared.
+    /// No key is declared, and none of teams will be.
     #[must_use]
     pub fn new(bus: Bus) -> Self {
-        Self { bus, declared: HashMap::new(), swept: Instant::now() }
+        Self::with_tokens(bus, RobotTokens::default())
+    }
+
+    /// No key is declared. Those of teams will be where their robots have tokens.
+    #[must_use]
+    pub fn with_tokens(bus: Bus, tokens: RobotTokens) -> Self {
+        Self { bus, tokens, declared: HashMap::new(), swept: Instant::now() }
     }
 
     /// Puts a message. May wait for a busy link, as long as the configuration allows.
@@ -126,7 +171,9 @@ impl DeclaredKeys {
                 .declare_publisher(text.to_owned())
                 .wait()
                 .map(|publisher| Form::Publisher(Arc::new(publisher))),
-            Ok(Key::RobotTeam(_)) => session.declare_keyexpr(text.to_owned()).wait().map(Form::Key),
+            Ok(Key::RobotTeam(robot)) if self.tokens.contain(&robot) => {
+                session.declare_keyexpr(text.to_owned()).wait().map(Form::Key)
+            }
             _ => return Ok(None),
         };
         let form = form.map_err(|error| anyhow::anyhow!("cannot declare {text}: {error}"))?;
@@ -167,11 +214,14 @@ mod tests {
         }
         let session = zenoh::open(config).await.unwrap();
         let bus = Bus::on_session(session, FleetId::new("f").unwrap()).await.unwrap();
-        let mut keys = DeclaredKeys::new(bus);
+        let tokens = RobotTokens::default();
+        let mut keys = DeclaredKeys::with_tokens(bus, tokens.clone());
         let now = Instant::now();
+        tokens.note("r1".parse().unwrap(), true);
         for (key, is_declared) in [
             ("muster/v1/f/robot/r1/pose", true),
             ("muster/v1/f/robot/r1/team", true),
+            ("muster/v1/f/robot/r2/team", false),
             ("muster/v1/f/teams", false),
             ("muster/v1/f/command/clusterer/kim/c1", false),
             ("rt/odom", false),

@@ -23,7 +23,7 @@ mod zenoh_config;
 
 pub use bus::{Bus, ConnectTimeout, Subscription, Token, Urgency};
 pub use config::{BusConfig, Mode};
-pub use declared_keys::DeclaredKeys;
+pub use declared_keys::{DeclaredKeys, RobotTokens};
 pub use error::{EndpointError, OpenError};
 pub use foreign::RouterState;
 pub use get::{Answer, Ask, Target};

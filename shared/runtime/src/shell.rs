@@ -17,14 +17,18 @@ use muster_model::role::ReplicaState;
 use muster_service::inbox::InboxLimits;
 use muster_service::recording::{Head, commands_frame, input_frame};
 use muster_service::replay::panic_text;
-use muster_service::{Arrival, Command, Core, GetId, Host, IncomingGet, Input, Start, Stopwatch};
+use muster_service::{
+    Arrival, Command, Core, GetId, Host, IncomingGet, Input, Start, Stopwatch, Wiring,
+};
 use muster_wire::message::quoted;
 use muster_wire::{Key, KeySpace, Packet, Request};
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, MissedTickBehavior, sleep_until};
 use tracing::Instrument as _;
 
-use crate::bus::{Answer, Ask, Bus, DeclaredKeys, IncomingQuery, Query, Target, Urgency};
+use crate::bus::{
+    Answer, Ask, Bus, DeclaredKeys, IncomingQuery, Query, RobotTokens, Target, Urgency,
+};
 use crate::clock::Clock;
 use crate::declarations::{TokenChange, declare, declare_tokens};
 use crate::inbox::SharedInbox;
@@ -116,7 +120,7 @@ pub async fn run<C: Core>(
         None => None,
     };
     let host = Host::<C>::new(start);
-    start_sending(&bus, &send_queue, pool.as_ref())?;
+    start_sending::<C>(&bus, &send_queue, pool.as_ref())?;
     let worker_ended = ended_sender.clone();
     let files = Files { store: options.store, kept: options.kept.clone() };
     let (replies, replies_done) = ReplyWorker::start(files, pool.as_ref(), move |input| {
@@ -229,8 +233,24 @@ pub async fn run<C: Core>(
     Ok(())
 }
 
-fn start_sending(bus: &Bus, send_queue: &SendQueue, pool: Option<&Pool>) -> anyhow::Result<()> {
-    let (mut sending, span) = (DeclaredKeys::new(bus.clone()), tracing::Span::current());
+fn start_sending<C: Core>(
+    bus: &Bus,
+    send_queue: &SendQueue,
+    pool: Option<&Pool>,
+) -> anyhow::Result<()> {
+    let tokens = RobotTokens::default();
+    // A bus that many fleets share declares no keys of robots.
+    if pool.is_none() && Wiring::of::<C>().puts_robot_teams() {
+        let (bus, tokens) = (bus.clone(), tokens.clone());
+        let following = async move {
+            if let Err(error) = tokens.follow(&bus).await {
+                tracing::warn!("{error:#}; teams are put by undeclared keys");
+            }
+        };
+        tokio::spawn(following.in_current_span());
+    }
+    let (mut sending, span) =
+        (DeclaredKeys::with_tokens(bus.clone(), tokens), tracing::Span::current());
     let send = move |packet, urgency: Urgency| {
         let _service = span.enter();
         if let Err(error) = sending.put_packet(packet, urgency) {

@@ -67,6 +67,14 @@ pub struct Wiring {
     pub fetched: Vec<Pattern>,
 }
 
+impl Wiring {
+    /// Whether the service puts to each robot its team.
+    #[must_use]
+    pub fn puts_robot_teams(&self) -> bool {
+        self.served.contains(&ServedKey::own(Pattern::RobotTeams))
+    }
+}
+
 /// How many instances of a service publish.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Replication {

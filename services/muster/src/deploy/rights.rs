@@ -73,7 +73,10 @@ fn schema(space: &KeySpace) -> String {
 }
 
 fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
-    let Wiring { subscriptions, tokens, served, fetched } = wiring(service);
+    let wiring = wiring(service);
+    // The bus declares the keys of robots that have tokens, and no others.
+    let robots = wiring.puts_robot_teams().then_some(Pattern::RobotTokens);
+    let Wiring { subscriptions, tokens, served, fetched } = wiring;
     let texts = |patterns: &mut dyn Iterator<Item = Pattern>| -> Vec<String> {
         patterns.map(|pattern| space.pattern(&pattern)).collect()
     };
@@ -97,7 +100,7 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
         subscribe: received,
         reply: answered,
         declare_token: vec![space.pattern(&Pattern::InstanceTokens(service))],
-        watch_token: texts(&mut tokens.into_iter()),
+        watch_token: texts(&mut tokens.into_iter().chain(robots)),
     };
     for list in [
         &mut rights.put,
@@ -305,7 +308,12 @@ mod tests {
         assert!(!rights("robot.r1").get.contains(&of("why")));
         assert!(rights("service.ingest").subscribe.contains(&of("robot/*/pose")));
         assert!(rights("service.ingest").subscribe.contains(&of("robot/*/*")));
-        assert!(rights("service.ingest").watch_token.contains(&of("robot/*")));
+        let watching = [ServiceName::Ingest, ServiceName::Clusterer, ServiceName::Historian];
+        for service in ServiceName::ALL {
+            let may = rights(&format!("service.{service}"));
+            let watches = may.watch_token.contains(&of("robot/*"));
+            assert_eq!(watches, watching.contains(&service), "{service}");
+        }
     }
 
     #[test]
