@@ -3,7 +3,7 @@
 //! Everything is linear in robots and edges but for look-ups, so that ten thousand robots take a fraction of a
 //! second of the job's thread.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 use muster_division::scores::Positions;
 use muster_model::audit::SilhouetteReport;
@@ -11,13 +11,16 @@ use muster_model::graph::GraphReplica;
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId, SkillId};
 use muster_model::limits::{MAX_AUDITED_SKILLS, MAX_CUT_ROBOTS, MAX_LOSS_PARTS, MAX_LOSSES};
-use muster_model::roster::Roster;
+use muster_model::roster::{Roster, RosterEntry};
 use muster_model::team_audit::{
     Conductance, LeastFitting, Loss, Radio, SkillCover, Spread, TeamAudit,
 };
 use muster_model::teams::{Team, Teams};
 use muster_numeric::conductance::conductances;
 use muster_numeric::cuts::{Cuts, cuts};
+
+/// The entry of each robot of a roster.
+type Entries<'a> = HashMap<&'a RobotId, &'a RosterEntry>;
 
 /// A followed graph, with its modality.
 pub(crate) type Graph = (Modality, std::sync::Arc<GraphReplica>);
@@ -33,22 +36,19 @@ pub struct TeamScores {
     pub losses: Vec<Loss>,
 }
 
-/// The members of a division, ordered by name, each with the number of its team.
-struct Members<'a>(Vec<(&'a RobotId, usize)>);
+/// The members of a division, each with the number of its team.
+struct Members<'a>(HashMap<&'a RobotId, usize>);
 
 impl<'a> Members<'a> {
     fn new(teams: &'a Teams) -> Self {
         let members = teams.teams.iter().enumerate().flat_map(|(number, team)| {
             team.members.iter().map(move |member| (&member.robot, number))
         });
-        let mut members: Vec<_> = members.collect();
-        members.sort_unstable();
-        Self(members)
+        Self(members.collect())
     }
 
     fn team(&self, robot: &RobotId) -> Option<usize> {
-        let at = self.0.binary_search_by_key(&robot, |(name, _)| name).ok()?;
-        self.0.get(at).map(|(_, team)| *team)
+        self.0.get(robot).copied()
     }
 }
 
@@ -70,7 +70,11 @@ impl<'a> Numbered<'a> {
     }
 
     fn edges(&self) -> impl Iterator<Item = (usize, usize, f64)> {
-        let place = |node: &u32| self.nodes.binary_search(node).ok();
+        // Until robots have left, the nodes of a graph are numbered without gaps.
+        let place = |node: &u32| match *node as usize {
+            at if self.nodes.get(at) == Some(node) => Some(at),
+            _ => self.nodes.binary_search(node).ok(),
+        };
         self.graph.rows().iter().flat_map(move |(source, edges)| {
             let from = place(source);
             edges.iter().filter_map(move |(target, weight)| Some((from?, place(target)?, *weight)))
@@ -88,11 +92,13 @@ pub(crate) fn score_teams(
     silhouettes: &SilhouetteReport,
 ) -> TeamScores {
     let members = Members::new(teams);
+    let entries = roster.map_or(&[][..], |roster| &roster.robots);
+    let entries: Entries<'_> = entries.iter().map(|entry| (&entry.robot, entry)).collect();
     let mut all: Vec<TeamAudit> = teams
         .teams
         .iter()
         .enumerate()
-        .map(|(number, team)| plain(teams, team, number, roster, &members, positions))
+        .map(|(number, team)| plain(teams, team, number, &entries, &members, positions))
         .collect();
     for (modality, graph) in graphs {
         let graph = Numbered::new(graph, &members);
@@ -119,17 +125,13 @@ fn plain(
     teams: &Teams,
     team: &Team,
     number: usize,
-    roster: Option<&Roster>,
+    entries: &Entries<'_>,
     members: &Members<'_>,
     positions: &Positions,
 ) -> TeamAudit {
     let is_stale = |robot: &RobotId| teams.stale.binary_search(robot).is_ok();
     let robots = || team.members.iter().map(|member| &member.robot);
-    let superior = |robot: &RobotId| {
-        let entries = roster.map_or(&[][..], |roster| &roster.robots);
-        let at = entries.binary_search_by(|entry| entry.robot.cmp(robot)).ok()?;
-        entries.get(at)?.superior.as_ref()
-    };
+    let superior = |robot: &RobotId| entries.get(robot)?.superior.as_ref();
     let is_head = |robot: &&RobotId| {
         superior(robot)
             .is_none_or(|superior| superior == *robot || members.team(superior) != Some(number))
@@ -151,12 +153,12 @@ fn plain(
         heads: count(heads.len()),
         only_head,
         spread: spread(robots().filter_map(|robot| positions.get(robot))),
-        skills: skills(teams, team, roster),
+        skills: skills(teams, team, entries),
     }
 }
 
 /// How many robots of a team have each skill, as far as they are there; what the division counts for a need comes first.
-fn skills(teams: &Teams, team: &Team, roster: Option<&Roster>) -> Vec<SkillCover> {
+fn skills(teams: &Teams, team: &Team, entries: &Entries<'_>) -> Vec<SkillCover> {
     let needs = teams.needs.iter().filter(|need| need.team == team.id);
     let mut covers: Vec<SkillCover> = needs
         .map(|need| SkillCover {
@@ -168,14 +170,12 @@ fn skills(teams: &Teams, team: &Team, roster: Option<&Roster>) -> Vec<SkillCover
         })
         .collect();
     let mut others: BTreeMap<&SkillId, u32> = BTreeMap::new();
-    let entries = roster.map_or(&[][..], |roster| &roster.robots);
     for member in &team.members {
         let robot = &member.robot;
         if teams.stale.binary_search(robot).is_ok() {
             continue;
         }
-        let at = entries.binary_search_by(|entry| entry.robot.cmp(robot)).ok();
-        for skill in at.map_or(&[][..], |at| &entries[at].skills) {
+        for skill in entries.get(robot).map_or(&[][..], |entry| &entry.skills) {
             *others.entry(skill).or_default() += 1;
         }
     }

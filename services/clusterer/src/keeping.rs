@@ -8,7 +8,8 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use muster_model::content::Checked;
-use muster_model::teams::Teams;
+use muster_model::id::RobotId;
+use muster_model::teams::{Team, Teams};
 use muster_model::time::Tick;
 use muster_model::wish::WishList;
 use muster_wire::kept::KeptTeams;
@@ -38,6 +39,8 @@ pub(crate) struct Keeping {
     was_received: bool,
     /// The division of the last write.
     written: Option<Checked<Teams>>,
+    /// Whether those two differ in what matters after a restart.
+    is_changed: bool,
     /// When a division was last written.
     written_at: Option<Tick>,
     /// When the last write failed.
@@ -133,6 +136,7 @@ impl Keeping {
         self.next_team = self.next_team.max(teams.next_team);
         self.newest = Some(teams.clone());
         self.was_received = true;
+        self.is_changed = self.has_other_teams();
     }
 
     /// Another service remembers a division after which `next_team` was the next number. If nothing is on disk here, what
@@ -183,13 +187,13 @@ impl Keeping {
         if self.requested > begun {
             return Some(Tick(0));
         }
-        if !self.is_changed() || !self.under_way.is_empty() {
+        if !self.is_changed || !self.under_way.is_empty() {
             return None;
         }
         Some(self.written_at.map_or(Tick(0), |at| at.after(WRITE_INTERVAL)))
     }
 
-    fn is_changed(&self) -> bool {
+    fn has_other_teams(&self) -> bool {
         match (&self.newest, &self.written) {
             (Some(newest), Some(written)) => {
                 // After a restart the term tells whether the embedder has lived on.
@@ -201,7 +205,7 @@ impl Keeping {
 
     /// The bytes to be written now; none if they have no form.
     pub(crate) fn write(&mut self, now: Tick) -> Option<Vec<u8>> {
-        if self.is_changed() {
+        if std::mem::take(&mut self.is_changed) {
             self.written_at = Some(now);
         }
         self.written.clone_from(&self.newest);
@@ -252,15 +256,16 @@ fn same_wishes(left: &WishList, right: &WishList) -> bool {
         })
 }
 
+fn robots(team: &Team) -> impl Iterator<Item = &RobotId> {
+    team.members.iter().map(|member| &member.robot)
+}
+
 /// Whether two divisions have the same teams with the same members and leaders.
 fn same_teams(left: &Teams, right: &Teams) -> bool {
     left.requested == right.requested
         && left.teams.len() == right.teams.len()
         && left.teams.iter().zip(&right.teams).all(|(left, right)| {
-            let robots = |team: &'_ muster_model::teams::Team| -> Vec<_> {
-                team.members.iter().map(|member| member.robot.clone()).collect()
-            };
-            left.id == right.id && left.leader == right.leader && robots(left) == robots(right)
+            left.id == right.id && left.leader == right.leader && robots(left).eq(robots(right))
         })
 }
 

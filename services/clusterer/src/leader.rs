@@ -1,6 +1,6 @@
 //! The leader of each team: the member that commands most of the others.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 use muster_model::id::{RobotId, TeamId};
 use muster_model::roster::Roster;
@@ -49,21 +49,19 @@ pub(crate) fn leaders(
 /// One depth-first walk through the forest of superiors: a robot commands those of its team that are entered
 /// between entering and leaving the robot. Each robot of a circle of superiors commands all robots below the
 /// circle. Linear in the robots, however long the chains are.
-fn commanded<'a>(teams: &'a [Team], roster: Option<&'a Roster>) -> BTreeMap<&'a RobotId, u64> {
-    let Some(roster) = roster else { return BTreeMap::new() };
+fn commanded<'a>(teams: &'a [Team], roster: Option<&'a Roster>) -> HashMap<&'a RobotId, u64> {
+    let Some(roster) = roster else { return HashMap::new() };
     if roster.robots.iter().all(|entry| entry.superior.is_none()) {
-        return BTreeMap::new();
+        return HashMap::new();
     }
-    let mut place: BTreeMap<&RobotId, usize> = BTreeMap::new();
+    let mut place: HashMap<&RobotId, usize> = HashMap::with_capacity(roster.robots.len());
+    let mut names: Vec<&RobotId> = Vec::with_capacity(roster.robots.len());
     for entry in &roster.robots {
-        let next = place.len();
-        place.entry(&entry.robot).or_insert(next);
+        place.entry(&entry.robot).or_insert_with(|| {
+            names.push(&entry.robot);
+            names.len() - 1
+        });
     }
-    let names: Vec<&RobotId> = {
-        let mut names: Vec<_> = place.iter().map(|(robot, at)| (*at, *robot)).collect();
-        names.sort_unstable();
-        names.into_iter().map(|(_, robot)| robot).collect()
-    };
     let mut superior = vec![None; names.len()];
     for entry in &roster.robots {
         let above = entry.superior.as_ref().and_then(|above| place.get(above)).copied();

@@ -106,7 +106,7 @@ impl Ingest {
             let grace = GracePeriods::from(context.settings());
             if self.fleet.has_recovered(now, robot, grace) {
                 // Others that were lost with it may be back as well.
-                let more = self.fleet.stale_count() > 0;
+                let more = self.fleet.has_stale();
                 self.changed_presence(context, robot.clone(), Transition::Recovered, more);
                 self.report_presence(context);
             }

@@ -109,6 +109,11 @@ impl Fleet {
         self.presence_deadline
     }
 
+    /// Whether a robot is stale. Of many the first is found soon: those that return together ask once each.
+    pub(crate) fn has_stale(&self) -> bool {
+        self.robots.values().any(|robot| robot.presence == Presence::Stale)
+    }
+
     /// How many robots are stale.
     pub(crate) fn stale_count(&self) -> usize {
         self.robots.values().filter(|robot| robot.presence == Presence::Stale).count()

@@ -1,6 +1,6 @@
 //! Silhouettes of a division among the vectors and among the positions.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 use muster_method::silhouettes::{SilhouetteParams, silhouettes};
 use muster_model::audit::{SilhouetteReport, Space};
@@ -13,7 +13,7 @@ use muster_numeric::matrix::{DenseMatrix, MatrixError};
 use muster_numeric::silhouette::SilhouetteError;
 
 /// The positions of robots, all in one frame.
-pub type Positions = BTreeMap<RobotId, [f64; 3]>;
+pub type Positions = HashMap<RobotId, [f64; 3]>;
 
 /// Why a division is not scored.
 #[derive(Debug, thiserror::Error)]
@@ -31,7 +31,7 @@ pub enum ScoreError {
 #[must_use]
 pub fn positions(teams: &Teams, roster: &Roster) -> Positions {
     let mut frames: BTreeMap<Option<&str>, Positions> = BTreeMap::new();
-    let entries: BTreeMap<&RobotId, _> =
+    let entries: HashMap<&RobotId, _> =
         roster.robots.iter().map(|entry| (&entry.robot, entry)).collect();
     for (robot, _) in teams.assignments() {
         let Some(entry) = entries.get(robot) else { continue };
@@ -41,7 +41,7 @@ pub fn positions(teams: &Teams, roster: &Roster) -> Positions {
         }
     }
     // Of equal elements the last is the maximum; from the back, that is the first by name.
-    frames.into_values().rev().max_by_key(BTreeMap::len).unwrap_or_default()
+    frames.into_values().rev().max_by_key(HashMap::len).unwrap_or_default()
 }
 
 /// Silhouettes among the vectors and among the positions.
@@ -54,8 +54,10 @@ pub fn silhouettes_of(
     positions: &Positions,
 ) -> Result<[SilhouetteReport; 2], ScoreError> {
     let dimension = embedding.dimension as usize;
+    let rows = embedding.robots.iter().enumerate().map(|(row, robot)| (robot, row));
+    let rows: HashMap<&RobotId, usize> = rows.collect();
     let in_embedding = report(Space::Embedding, teams, dimension, |robot| {
-        let row = embedding.robots.binary_search(robot).ok()?;
+        let row = *rows.get(robot)?;
         embedding.values.get(row * dimension..(row + 1) * dimension)
     })?;
     let in_physical = report(Space::Physical, teams, 3, |robot| {
@@ -71,21 +73,21 @@ fn report<'a>(
     dimension: usize,
     place: impl Fn(&RobotId) -> Option<&'a [f64]>,
 ) -> Result<SilhouetteReport, ScoreError> {
-    let mut scored: Vec<(&RobotId, usize)> = Vec::new();
+    let mut scored: Vec<(&RobotId, usize, &[f64])> = Vec::new();
     let mut present = 0;
     for (number, team) in teams.teams.iter().enumerate() {
         let before = scored.len();
         let members = team.members.iter().map(|member| &member.robot);
-        scored.extend(members.filter(|robot| place(robot).is_some()).map(|r| (r, number)));
+        scored.extend(members.filter_map(|robot| Some((robot, number, place(robot)?))));
         present += usize::from(scored.len() > before);
     }
     if present < 2 {
         return Ok(SilhouetteReport::undefined(space));
     }
-    scored.sort_unstable();
-    let values = scored.iter().filter_map(|(robot, _)| place(robot)).flatten().copied();
+    scored.sort_unstable_by_key(|(robot, ..)| *robot);
+    let values = scored.iter().flat_map(|(_, _, place)| *place).copied();
     let x = DenseMatrix::new(scored.len(), dimension, values.collect())?;
-    let labels: Vec<usize> = scored.iter().map(|(_, number)| *number).collect();
+    let labels: Vec<usize> = scored.iter().map(|(_, number, _)| *number).collect();
     let params = SilhouetteParams::default();
     let found = silhouettes(&x, &labels, &params)?;
     let details = found.details;
@@ -98,7 +100,7 @@ fn report<'a>(
         method: found.method,
         standard_error: found.standard_error,
         per_team: details.per_cluster.into_iter().filter_map(named).collect(),
-        per_robot: scored.into_iter().map(|(r, _)| r.clone()).zip(details.per_point).collect(),
+        per_robot: scored.into_iter().map(|(r, ..)| r.clone()).zip(details.per_point).collect(),
         detail_method: details.method,
     })
 }

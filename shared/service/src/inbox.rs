@@ -3,10 +3,12 @@
 //! An item of a latest-wins key replaces the one that waits; a queue drops its oldest; the whole inbox
 //! drops its oldest when it is full. Items leave in the order of arrival.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
 
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_wire::{KeySpace, Packet, Pattern};
+use smallvec::SmallVec;
 
 use crate::io::Arrival;
 use crate::wiring::Delivery;
@@ -91,7 +93,7 @@ pub struct InboxCounts {
 
 #[derive(Debug)]
 struct Waiting {
-    slot: String,
+    slot: Arc<str>,
     arrival: Arrival,
     size: usize,
 }
@@ -117,7 +119,8 @@ pub struct Inbox {
     limits: InboxLimits,
     next: u64,
     waiting: BTreeMap<u64, Waiting>,
-    slots: HashMap<String, VecDeque<u64>>,
+    /// The numbers of what waits for each slot, the oldest first. Nearly always that is one.
+    slots: HashMap<Arc<str>, SmallVec<[u64; 1]>>,
     bytes: usize,
     superseded: u64,
     dropped: u64,
@@ -133,6 +136,7 @@ impl Inbox {
     /// Adds a packet.
     pub fn push(&mut self, parcel: Parcel) {
         let Parcel { slot, arrival, size, delivery } = parcel;
+        let slot: Arc<str> = slot.into();
         let room = match delivery {
             Delivery::Latest => 1,
             Delivery::Queue(length) => length.max(1),
@@ -141,7 +145,7 @@ impl Inbox {
             .slots
             .get(&slot)
             .filter(|numbers| numbers.len() >= room)
-            .and_then(|numbers| numbers.front().copied())
+            .and_then(|numbers| numbers.first().copied())
         {
             self.remove(oldest);
             self.superseded += 1;
@@ -149,7 +153,7 @@ impl Inbox {
         let number = self.next;
         self.next += 1;
         self.bytes += size;
-        self.slots.entry(slot.clone()).or_default().push_back(number);
+        self.slots.entry(Arc::clone(&slot)).or_default().push(number);
         self.waiting.insert(number, Waiting { slot, arrival, size });
         while self.waiting.len() > self.limits.items || self.bytes > self.limits.bytes {
             let Some(oldest) = self.waiting.keys().next().copied() else { break };
