@@ -201,6 +201,49 @@ fn degenerate_graphs_have_answers() {
     let _ = KatzSvd::default().solve(&a, 1e-40, &radius, options(2, 1e-6), None).unwrap();
 }
 
+/// A square lattice of `side` × `side` nodes, whose leading values lie close together.
+fn lattice(side: usize, seed: u64) -> SparseMatrix {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut edges = Vec::new();
+    for (x, y) in (0..side).flat_map(|x| (0..side).map(move |y| (x, y))) {
+        let (node, mut weight) = (x * side + y, || 1.0 + 0.01 * rng.random::<f64>());
+        for next in [(x + 1 < side).then_some(node + side), (y + 1 < side).then_some(node + 1)] {
+            edges.extend(next.map(|next| (node, next, weight())));
+            edges.extend(next.map(|next| (next, node, weight())));
+        }
+    }
+    SparseMatrix::from_triplets(side * side, edges).unwrap()
+}
+
+#[test]
+fn a_search_of_few_rounds_is_continued_in_the_next_frame() {
+    const ROUNDS: usize = 5;
+    let a = lattice(40, 6);
+    let radius = spectral_radius(&a, None);
+    let alpha = 0.6 / radius.upper;
+    let mut at_once = KatzSvd::default();
+    let whole = at_once.solve(&a, alpha, &radius, options(6, 1e-9), None).unwrap();
+    assert!(whole.converged && whole.rounds > 2 * ROUNDS, "no close values: {whole:?}");
+    let mut bit_by_bit = KatzSvd::default();
+    bit_by_bit.limit_rounds(ROUNDS);
+    let (mut residuals, mut last) = (Vec::new(), None);
+    for _ in 0..200 {
+        let report = bit_by_bit.solve(&a, alpha, &radius, options(6, 1e-9), None).unwrap();
+        assert!(report.rounds <= ROUNDS && report.complete <= report.converged, "{report:?}");
+        residuals.push(report.residual);
+        last = Some(report);
+        if report.complete {
+            break;
+        }
+    }
+    assert!(last.is_some_and(|last| last.complete), "{residuals:?}");
+    assert!(residuals.len() > 2 && residuals[0] > 1e-9, "{residuals:?}");
+    let (found, wanted) = (bit_by_bit.truncate(6).unwrap(), at_once.truncate(6).unwrap());
+    for (found, wanted) in found.sigma.iter().zip(&wanted.sigma) {
+        assert!((found - wanted).abs() <= 1e-10 * wanted, "{found} {wanted}");
+    }
+}
+
 #[test]
 fn invalid_input_is_refused_by_name() {
     let a = random_graph(70, 4, 1);

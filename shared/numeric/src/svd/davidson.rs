@@ -60,7 +60,7 @@ const MAX_GROWTH_BYTES: usize = 1 << 28;
 const FACTOR_ROUND: usize = 60;
 
 /// Rounds after which the search gives up.
-const MAX_ROUNDS: usize = 300;
+pub(crate) const MAX_ROUNDS: usize = 300;
 
 /// Values up to this fraction of the largest count as zero, and their vectors are ignored: their
 /// squares vanish in the rounding of the square of the largest.
@@ -90,6 +90,8 @@ pub(crate) struct Request {
     pub(crate) exact: usize,
     /// Largest of [`Triplets::residuals`].
     pub(crate) tolerance: f64,
+    /// Rounds after which the search ends, converged or not; at most [`MAX_ROUNDS`].
+    pub(crate) most_rounds: usize,
     /// Seed of the random directions.
     pub(crate) seed: u64,
     /// Number of threads of the pool around the search, 1 without one.
@@ -395,7 +397,7 @@ impl Search<'_> {
             out.converged = open == 0;
             progress(SearchRound { round: out.rounds, open, rank });
             let whole = self.work.basis.size >= self.n;
-            if out.converged || out.rounds >= MAX_ROUNDS || whole {
+            if out.converged || out.rounds >= self.request.most_rounds || whole {
                 return;
             }
             match out.rounds {
@@ -656,7 +658,14 @@ mod tests {
                 let full = full_svd(&katz_similarity(&a, alpha, &radius).unwrap()).unwrap();
                 let mut operator = KatzOperator::default();
                 operator.assign(&a, alpha, false, 1);
-                let request = Request { rank: 8, exact: 8, tolerance: 1e-9, seed: 5, threads: 1 };
+                let request = Request {
+                    rank: 8,
+                    exact: 8,
+                    tolerance: 1e-9,
+                    most_rounds: MAX_ROUNDS,
+                    seed: 5,
+                    threads: 1,
+                };
                 let mut out = Triplets::default();
                 leading_triplets(
                     &operator,

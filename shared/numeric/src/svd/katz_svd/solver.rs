@@ -11,7 +11,8 @@ use crate::linalg::matrix::SparseMatrix;
 use crate::linalg::parallel::{Parts, Strided, Threads};
 use crate::radius::exact::SpectralRadius;
 use crate::svd::davidson::{
-    NULL_VALUE_RATIO, Request, SearchRound, Triplets, Workspace, leading_triplets, width_for,
+    MAX_ROUNDS, NULL_VALUE_RATIO, Request, SearchRound, Triplets, Workspace, leading_triplets,
+    width_for,
 };
 use crate::svd::operator::{KatzOperator, Orientation};
 
@@ -119,6 +120,8 @@ pub struct KatzSvd {
     pub(super) rank: usize,
     /// Searches so far.
     searches: u64,
+    /// Rounds of a frame after which its search ends, if they are limited.
+    most_rounds: Option<usize>,
     probe: Probe,
     /// Steps of the probe in a row that have found nothing.
     quiet: u32,
@@ -207,6 +210,12 @@ impl KatzSvd {
         previous: Option<&[Option<usize>]>,
     ) -> Result<KatzSvdReport, KatzSvdError> {
         self.solve_with_progress(a, alpha, radius, options, previous, &mut |_| {})
+    }
+
+    /// Ends the search of each frame after so many rounds, at least 1 and in any case after some hundred. Triplets that
+    /// have not converged by then are those that have come nearest, and the next frame begins with them.
+    pub fn limit_rounds(&mut self, most: usize) {
+        self.most_rounds = Some(most.max(1));
     }
 
     /// [`KatzSvd::solve`] that reports each round of the search.
@@ -580,10 +589,15 @@ impl KatzSvd {
         let mut rounds = 0;
         for _ in 0..FRAME_SEARCHES {
             let factor = if is_current { UPDATE_TOLERANCE_FACTOR } else { 1.0 };
+            let left = self.most_rounds.map_or(MAX_ROUNDS, |most| most.saturating_sub(rounds));
+            if left == 0 {
+                break;
+            }
             let request = Request {
                 rank: options.rank,
                 exact: options.exact(),
                 tolerance: options.tolerance * factor,
+                most_rounds: left.min(MAX_ROUNDS),
                 seed: options.seed.wrapping_add(self.searches),
                 threads,
             };
@@ -594,7 +608,8 @@ impl KatzSvd {
             self.keep_start(threads);
             if is_cold {
                 // It began with more random directions than there are triplets.
-                (self.quiet, self.means) = (PROBE_STEPS, MOST_MEANS);
+                self.quiet = if self.triplets.converged { PROBE_STEPS } else { 0 };
+                self.means = MOST_MEANS;
                 (self.drift, self.unseen) = (0.0, 0.0);
                 self.grown.levels.clear();
                 self.grown.most.reserve(GROWN_ROWS);
