@@ -36,7 +36,8 @@ async fn every_pose_is_followed_to_a_division() {
     assert_eq!(names, all);
     assert!(measured.taken.iter().all(|taken| taken.memory > 1.0 && taken.processors >= 0.0));
 
-    let page = report::page(std::slice::from_ref(&measured), "test", Some("plot.svg")).unwrap();
+    let page =
+        report::page(std::slice::from_ref(&measured), &[], "test", Some("plot.svg")).unwrap();
     assert!(!page.contains("NaN") || measured.changes.is_empty(), "{page}");
     assert!(page.contains("nothing lost but superseded poses"), "{page}");
     assert!(report::plot(&[measured]).ends_with("</svg>\n"));

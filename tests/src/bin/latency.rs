@@ -160,16 +160,26 @@ async fn main() -> anyhow::Result<ExitCode> {
         drive::run(&drive).await?;
         return Ok(ExitCode::SUCCESS);
     }
-    let mut all = Vec::new();
+    let (mut all, mut failed) = (Vec::new(), Vec::new());
     for plan in &plans {
         let progress = |text: String| {
             let _ = writeln!(std::io::stderr(), "{text}");
         };
-        all.push(run_plan::run(plan, progress).await?);
+        match run_plan::run(plan, progress).await {
+            Ok(measured) => all.push(measured),
+            // A size that is too large for the machine is a result; the others are measured all the same.
+            Err(error) => {
+                let reason = format!("{error:#}");
+                writeln!(std::io::stderr(), "{} robots: {reason}", plan.robots)?;
+                // What a program said last may follow; a table has one line.
+                let reason = reason.lines().take(2).collect::<Vec<_>>().join(" ");
+                failed.push(report::Failed { plan: plan.clone(), reason });
+            }
+        }
     }
     let picture = options.out.as_ref().map(|out| out.with_extension("svg"));
     let name = picture.as_ref().and_then(|picture| picture.file_name()?.to_str());
-    let page = report::page(&all, &options.named, name)?;
+    let page = report::page(&all, &failed, &options.named, name)?;
     match &options.out {
         Some(out) => {
             std::fs::write(out, page).with_context(|| format!("--out {}", out.display()))?
@@ -179,7 +189,7 @@ async fn main() -> anyhow::Result<ExitCode> {
     if let Some(picture) = &picture {
         std::fs::write(picture, report::plot(&all))?;
     }
-    let mut missed = report::goals(&all);
+    let mut missed = report::goals(&all, &failed);
     missed.retain(|goal| !goal.reached);
     for goal in &missed {
         writeln!(std::io::stderr(), "missed: {}: {}", goal.wanted, goal.measured)?;

@@ -1,10 +1,12 @@
 //! A process of robots, which put poses at a rate, each with a phase of its own, and writes down when.
 //!
-//! The robots share one Zenoh session and put JSON, as `muster robot` does, by declared publishers: a
-//! router searches all keys of the fleet for the receivers of each message on an undeclared key.
-//! Each robot has its token, and subscribes to its team. A robot that also reports links or its rank does so
-//! just before a pose, so that the pose is its last message: the roster then contains when `ingest` received
-//! it.
+//! The robots share one Zenoh session and put JSON. Up to [`MOST_MEMBERS`] are members as `muster robot` is: each
+//! has its token, subscribes to its team, and puts by declared publishers, since a router searches all keys
+//! of the fleet for the receivers of each message on an undeclared key. Those of larger fleets report through a
+//! gateway, which declares nothing for one robot: it subscribes to the teams of all, and puts by the text of keys.
+//!
+//! A robot that also reports links or its rank does so just before a pose, so that the pose is its last message: the
+//! roster then contains when `ingest` received it.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -13,6 +15,8 @@ use anyhow::Context;
 use serde_json::json;
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::Publisher;
 
 use super::squads::Squads;
 use super::{now_us, robot_name};
@@ -27,6 +31,11 @@ const RANK_EVERY: u64 = 10;
 /// Robots that join in a second: an operator switches a fleet on squad by squad. What all robots of a large
 /// fleet say at once overflows the queues of a transport, which drop it, as poses are made to be dropped.
 const JOIN_HZ: f64 = 1000.0;
+
+/// Most robots that are members of the fleet themselves. A router compares each key that one declares with those of all
+/// others (`Resource::get_matches` of Zenoh 1.10.2), so that the time of joining grows with the square: a minute for
+/// 5,000 robots, a quarter of an hour for 20,000.
+pub const MOST_MEMBERS: usize = 5000;
 
 /// Shortest sleep. Robots that are due within it put one after the other, a little late: their poses
 /// count from when they were really put.
@@ -138,6 +147,52 @@ pub fn pose_json(at: [f64; 2], number: u64, boot: &str, stamp_us: u64) -> String
     )
 }
 
+/// How the robots put.
+enum Reports {
+    /// By three publishers of each robot, in the order of [`STREAMS`].
+    Members { publishers: Vec<Publisher<'static>>, _tokens: Vec<LivelinessToken>, _client: Client },
+    /// By the text of keys.
+    Gateway(Client),
+}
+
+impl Reports {
+    async fn open(client: Client, robots: usize) -> anyhow::Result<Self> {
+        // The listener measures the messages on teams and their arrival; but robots subscribe as well.
+        if robots > MOST_MEMBERS {
+            client.listen("robot/*/team", |_, _| {}).await?;
+            return Ok(Self::Gateway(client));
+        }
+        let (mut tokens, mut publishers) = (Vec::new(), Vec::new());
+        for robot in (0..robots).map(robot_name) {
+            tokens.push(client.token(&format!("robot/{robot}")).await?);
+            client.listen(&format!("robot/{robot}/team"), |_, _| {}).await?;
+            for (_, stream) in STREAMS {
+                let publisher = client
+                    .session()
+                    .declare_publisher(client.key(&format!("robot/{robot}/{stream}")))
+                    .encoding(Encoding::APPLICATION_JSON)
+                    .await;
+                publishers.push(publisher.map_err(|error| anyhow::anyhow!("{robot}: {error}"))?);
+            }
+        }
+        Ok(Self::Members { publishers, _tokens: tokens, _client: client })
+    }
+
+    fn put(&self, robot: usize, stream: Stream, payload: String) -> anyhow::Result<()> {
+        let put = match self {
+            Self::Members { publishers, .. } => {
+                publishers[robot * STREAMS.len() + stream as usize].put(payload).wait()
+            }
+            Self::Gateway(client) => {
+                let key = format!("robot/{}/{}", robot_name(robot), STREAMS[stream as usize].1);
+                let put = client.session().put(client.key(&key), payload);
+                put.encoding(Encoding::APPLICATION_JSON).wait()
+            }
+        };
+        put.map_err(|error| anyhow::anyhow!("{stream:?} of robot {robot}: {error}"))
+    }
+}
+
 /// Drives robots until they are stopped, writes the log, and waits to be killed, so that the robots
 /// stay members of the fleet.
 ///
@@ -146,35 +201,17 @@ pub fn pose_json(at: [f64; 2], number: u64, boot: &str, stamp_us: u64) -> String
 pub async fn run(drive: &Drive) -> anyhow::Result<()> {
     let client = Client::connect_for_many(&drive.endpoint, &drive.fleet).await?;
     let squads = Squads::new(drive.robots, drive.teams);
-    let (mut tokens, mut publishers) = (Vec::new(), Vec::new());
-    for robot in (0..drive.robots).map(robot_name) {
-        tokens.push(client.token(&format!("robot/{robot}")).await?);
-        // The listener measures the messages on teams and their arrival; but robots subscribe as well.
-        client.listen(&format!("robot/{robot}/team"), |_, _| {}).await?;
-        for (_, stream) in STREAMS {
-            let publisher = client
-                .session()
-                .declare_publisher(client.key(&format!("robot/{robot}/{stream}")))
-                .encoding(Encoding::APPLICATION_JSON)
-                .await;
-            publishers.push(publisher.map_err(|error| anyhow::anyhow!("{robot}: {error}"))?);
-        }
-    }
+    let reports = Reports::open(client, drive.robots).await?;
     let (drive, folder) = (drive.clone(), drive.folder.clone());
     let driving = tokio::task::spawn_blocking(move || {
         let mut puts = Puts { poses: vec![Vec::new(); drive.robots], messages: 0 };
-        let put = |robot: usize, stream: Stream, payload: String| {
-            let publisher = &publishers[robot * STREAMS.len() + stream as usize];
-            let put = publisher.put(payload).wait();
-            put.map_err(|error| anyhow::anyhow!("{}: {error}", publisher.key_expr()))
-        };
+        let put = |robot, stream, payload| reports.put(robot, stream, payload);
         put_reports(&drive, &squads, put, &mut puts)?;
-        anyhow::Ok(puts)
+        anyhow::Ok((puts, reports))
     });
-    driving.await??.write(&folder)?;
-    std::future::pending::<()>().await;
-    drop(tokens);
-    Ok(())
+    let (puts, _reports) = driving.await??;
+    puts.write(&folder)?;
+    std::future::pending().await
 }
 
 /// Puts what is due, again and again, until the stop.

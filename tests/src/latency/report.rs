@@ -53,9 +53,18 @@ pub struct Goal {
     pub reached: bool,
 }
 
+/// A run that could not be measured.
+#[derive(Debug, Clone)]
+pub struct Failed {
+    /// What was to be run.
+    pub plan: RunPlan,
+    /// Why there is no measurement.
+    pub reason: String,
+}
+
 /// The goals of all runs.
 #[must_use]
-pub fn goals(all: &[Measured]) -> Vec<Goal> {
+pub fn goals(all: &[Measured], failed: &[Failed]) -> Vec<Goal> {
     let (busy, quiet): (Vec<_>, Vec<_>) = all.iter().partition(|measured| measured.plan.busy > 0);
     let mut goals: Vec<_> = quiet.iter().flat_map(|measured| goals_quiet(measured)).collect();
     let (pinned, alone): (Vec<_>, Vec<_>) =
@@ -67,6 +76,15 @@ pub fn goals(all: &[Measured]) -> Vec<Goal> {
     for measured in busy {
         goals.extend(same(measured.plan.robots).map(|alone| goal_busy(alone, measured)));
     }
+    goals.extend(failed.iter().map(|Failed { plan, reason }| Goal {
+        wanted: format!(
+            "{} at {} Hz: a division of all, to be measured",
+            robots(plan),
+            plan.rate_hz
+        ),
+        measured: reason.clone(),
+        reached: false,
+    }));
     goals
 }
 
@@ -107,7 +125,7 @@ fn goal_busy(alone: &Measured, busy: &Measured) -> Goal {
 
 /// The goals of a run without neighbours.
 fn goals_quiet(measured: &Measured) -> Vec<Goal> {
-    let (robots, named) = (measured.plan.robots, robots(measured));
+    let (robots, named) = (measured.plan.robots, robots(&measured.plan));
     let mut goals = Vec::new();
     for (_, most) in GOALS_MS.iter().filter(|(of, _)| *of == robots) {
         let p99 = Spread::of(measured.ways.beyond.iter().copied()).p99;
@@ -196,6 +214,7 @@ fn pair(spread: Spread) -> String {
 /// Never; the signature is that of writing.
 pub fn page(
     all: &[Measured],
+    failed: &[Failed],
     command: &str,
     plot: Option<&str>,
 ) -> Result<String, std::fmt::Error> {
@@ -222,7 +241,7 @@ pub fn page(
         writeln!(
             page,
             "- {}: march in {} teams, {} poses per second each, {:.0} s{}",
-            robots(measured),
+            robots(plan),
             plan.teams,
             plan.rate_hz,
             measured.seconds,
@@ -230,7 +249,7 @@ pub fn page(
         )?;
     }
     writeln!(page, "\n{DEFINITIONS}")?;
-    goals_table(&mut page, all)?;
+    goals_table(&mut page, &goals(all, failed))?;
     ways_table(&mut page, all)?;
     ages_table(&mut page, all)?;
     if let Some(plot) = plot {
@@ -247,8 +266,9 @@ pub fn page(
 const DEFINITIONS: &str = "\
 A router, the four services and all robots run as processes of one host, over TCP on loopback, with \
 default settings, by which the number of teams is chosen as well. The robots march in squads and move with every pose; \
-each has a phase of its own. They join 1,000 a second. They also put links twice a second and ranks \
-once. The heading of a pose is its number, which the roster contains, and the header of each division \
+each has a phase of its own. They join 1,000 a second, and also report links with every fifth pose and ranks with every tenth. \
+Robots of fleets of more than 5,000 report through one gateway that declares no keys for them; the others declare their own, as \
+`muster robot` does. The heading of a pose is its number, which the roster contains, and the header of each division \
 names its frame: which poses are in a division is known, not estimated. *busy*: so many other processes for each processor \
 compute all the time. *pinned*: wishes hold so many robots in their teams.
 
@@ -265,8 +285,8 @@ All times are in milliseconds.
 ";
 
 /// How many robots a run had, whether it had neighbours, and how many were pinned.
-fn robots(measured: &Measured) -> String {
-    let RunPlan { robots, busy, pins, .. } = measured.plan;
+fn robots(plan: &RunPlan) -> String {
+    let RunPlan { robots, busy, pins, .. } = plan;
     match (busy, pins) {
         (0, 0) => format!("{robots} robots"),
         (0, pins) => format!("{robots} robots, {pins} pinned"),
@@ -274,9 +294,9 @@ fn robots(measured: &Measured) -> String {
     }
 }
 
-fn goals_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
+fn goals_table(page: &mut String, goals: &[Goal]) -> std::fmt::Result {
     writeln!(page, "## Goals\n\n| goal | measured | |\n| --- | --- | --- |")?;
-    for goal in goals(all) {
+    for goal in goals {
         let verdict = if goal.reached { "reached" } else { "**missed**" };
         writeln!(page, "| {} | {} | {verdict} |", goal.wanted, goal.measured)?;
     }
@@ -295,7 +315,7 @@ fn ways_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
         writeln!(
             page,
             "| {} | {:.1} | {} | {} | {} ({}) | {:.2} / {:.2} | {:.2} / {:.2} |",
-            robots(measured),
+            robots(&measured.plan),
             measured.rate(),
             spread(Spread::of(measured.ways.whole.iter().copied())),
             spread(Spread::of(measured.ways.beyond.iter().copied())),
@@ -321,7 +341,12 @@ fn ages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
         let ages = Spread::of(measured.ages().into_iter().map(|(_, age)| age));
         let growth = measured.growth();
         let pause = measured.longest_pause();
-        writeln!(page, "| {} | {} | {growth:+.1} | {pause:.1} |", robots(measured), spread(ages))?;
+        writeln!(
+            page,
+            "| {} | {} | {growth:+.1} | {pause:.1} |",
+            robots(&measured.plan),
+            spread(ages)
+        )?;
     }
     writeln!(page)
 }
@@ -332,7 +357,7 @@ fn stages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
         let cells: Vec<_> = all.iter().map(of).collect();
         writeln!(page, "| {name} | {} |", cells.join(" | "))
     };
-    row("robots", &robots)?;
+    row("robots", &|measured| robots(&measured.plan))?;
     row("---", &|_| "---".to_owned())?;
     row("robot → ingest", &|measured| pair(Spread::of(measured.ways.to_ingest.iter().copied())))?;
     row("in ingest until the frame", &|measured| {
@@ -358,7 +383,7 @@ fn stages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
          previous job.\n"
     )?;
     for measured in all {
-        let robots = robots(measured);
+        let robots = robots(&measured.plan);
         let modes: Vec<_> =
             measured.modes.iter().map(|(mode, count)| format!("{count} {mode}")).collect();
         let (least, most) = measured.dimensions;
@@ -391,7 +416,7 @@ fn poses_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
         writeln!(
             page,
             "| {} | {} | {:.0} | {} | {} | {} | {} | {} | {} |",
-            robots(measured),
+            robots(&measured.plan),
             measured.poses,
             measured.poses as f64 / measured.seconds,
             measured.ways.beyond.len(),
@@ -416,7 +441,7 @@ fn processes_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
             .taken
             .iter()
             .map(|taken| format!(" {:.1} / {:.0} |", taken.processors * 100.0, taken.memory));
-        writeln!(page, "| {} |{}", robots(measured), cells.collect::<String>())?;
+        writeln!(page, "| {} |{}", robots(&measured.plan), cells.collect::<String>())?;
     }
     writeln!(page, "\nThe same memory for each robot, in KiB:\n")?;
     writeln!(page, "| robots | {} |", names.join(" | "))?;
@@ -425,7 +450,7 @@ fn processes_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
         let of_robots = measured.plan.robots as f64;
         let cells = measured.taken.iter().map(|taken| taken.memory * 1024.0 / of_robots);
         let cells = cells.map(|kib| format!(" {kib:.1} |"));
-        writeln!(page, "| {} |{}", robots(measured), cells.collect::<String>())?;
+        writeln!(page, "| {} |{}", robots(&measured.plan), cells.collect::<String>())?;
     }
     writeln!(
         page,
@@ -440,7 +465,7 @@ fn traffic_tables(page: &mut String, all: &[Measured]) -> std::fmt::Result {
          measurement. What robots carry is that of ten of them. Keys below 0.05 bytes a second for each robot are left out."
     )?;
     for measured in all {
-        writeln!(page, "\n{}:\n", robots(measured))?;
+        writeln!(page, "\n{}:\n", robots(&measured.plan))?;
         writeln!(page, "| key | messages/s | bytes each | bytes/s for each robot |")?;
         writeln!(page, "| --- | --- | --- | --- |")?;
         let carried = measured.traffic.carried().into_iter();
@@ -484,7 +509,7 @@ pub fn plot(all: &[Measured]) -> String {
             places.join(" "),
             WIDTH + 6.0,
             40 + 18 * number,
-            robots(measured)
+            robots(&measured.plan)
         );
     }
     svg + "</svg>\n"

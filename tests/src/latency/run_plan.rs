@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use muster_model::embedding::EmbeddingMode;
+use muster_model::settings::IngestSettings;
 use serde_json::Value;
 
 use super::drive::{self, Puts};
@@ -193,7 +194,11 @@ impl Measured {
 pub async fn run(plan: &RunPlan, progress: impl Fn(String)) -> anyhow::Result<Measured> {
     let robots = plan.robots;
     let set = plan.settings.iter().map(|(service, set)| (service.as_str(), set.as_str()));
-    let settings: Vec<_> = set.collect();
+    // A fleet that is larger than one may be by default.
+    let larger = (plan.robots > IngestSettings::default().max_robots as usize)
+        .then(|| format!("max_robots={robots}"));
+    let larger = larger.iter().map(|larger| ("ingest", larger.as_str()));
+    let settings: Vec<_> = larger.chain(set).collect();
     progress(format!("{robots} robots: a router and four services start"));
     let mut cluster = Cluster::start(FLEET, &settings)?;
     let client = cluster.client().await?;
