@@ -123,6 +123,9 @@ pub struct Clusterer {
     vacancies: Vacancies,
     /// Since when robots that return have no relations yet.
     returning_since: Option<Tick>,
+    /// When it was last looked at whether a job is to start. What was due by then has had its turn, even where a
+    /// later moment is awaited as well, or the job has failed.
+    considered_at: Option<Tick>,
     /// Teams that robots had before the division.
     memory: Arc<Memory>,
     published: Option<Published>,
@@ -154,6 +157,7 @@ impl Clusterer {
     fn consider(&mut self, context: &mut Context<'_>) {
         let Some(slot) = context.free_job_slot() else { return };
         let now = context.now();
+        self.considered_at = Some(now);
         if self.awaits_robots(now) || self.awaits_relations(now) {
             return;
         }
@@ -203,6 +207,18 @@ impl Clusterer {
         self.flight.started(task);
         context.count("jobs_started");
         context.start_job(slot, job);
+    }
+
+    /// When a job may have to start although nothing was received.
+    fn consider_at(&self) -> Option<Tick> {
+        let due = [
+            self.flight.retry_at(),
+            self.count.due(),
+            self.keeping.gives_at(),
+            self.awaits_until(),
+        ];
+        let is_to_come = |due: &Tick| self.considered_at.is_none_or(|at| *due > at);
+        due.into_iter().flatten().filter(is_to_come).min()
     }
 
     /// Keeps what has changed on disk, if that is due.
@@ -443,13 +459,7 @@ impl Core for Clusterer {
             self.settle_again(context);
         }
         self.inform_in_rotation(context, &BTreeSet::new());
-        let due = [
-            self.flight.retry_at(),
-            self.count.due(),
-            self.keeping.gives_at(),
-            self.awaits_until(),
-        ];
-        if due.into_iter().flatten().any(|due| now >= due) {
+        if self.consider_at().is_some_and(|due| now >= due) {
             self.consider(context);
         }
     }
@@ -467,14 +477,7 @@ impl Core for Clusterer {
 
     fn deadline(&self, view: &View<'_>) -> Option<Tick> {
         // An instance whose output is suppressed divides nothing.
-        let waiting = [
-            self.flight.retry_at(),
-            self.count.due(),
-            self.settle_at(view),
-            self.keeping.gives_at(),
-            self.awaits_until(),
-        ];
-        let waiting = waiting.into_iter().flatten();
+        let waiting = self.settle_at(view).into_iter().chain(self.consider_at());
         let waiting = waiting.min().filter(|_| view.is_leading() && !view.is_job_running());
         let expiry = self.wishes.due().filter(|_| view.has_term());
         let due =

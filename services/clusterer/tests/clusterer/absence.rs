@@ -1,5 +1,9 @@
 //! Whole teams that are absent for a while: their seats are kept.
 
+use std::time::Duration;
+
+use muster_service::Input;
+
 use super::*;
 
 /// Three teams, each with parts of its own that a fourth or third team could be made of.
@@ -220,6 +224,30 @@ fn who_returns_without_relations_is_not_told_that_it_has_no_team() {
     bench.receive_embedding(&embedding(7, &[("a b", WEST), ("x!", EAST)]));
     bench.wait(1.1);
     assert_eq!(short(&held(&mut bench)), "t1: a b | - x");
+}
+
+/// The job after the wait fails: the wait is over all the same, and nothing is due until the job is tried again.
+#[test]
+fn a_failed_job_after_a_wait_for_relations_keeps_no_processor_busy() {
+    let all = [("a b", WEST), ("x y", EAST)];
+    let (mut bench, _) = divided(settings(TeamCount::Fixed(2)), &embedding(1, &all));
+    bench.receive_embedding(&embedding(2, &[("a b", WEST)]));
+    bench.wait(0.1);
+    bench.hold_jobs = true;
+    bench.receive_embedding(&embedding(3, &[("a b", WEST), ("x!", EAST)]));
+    bench.wait(1.1);
+    assert!(bench.job.is_some(), "the robot was awaited for long enough");
+    bench.panic_job("out of luck");
+    let mut woken = 0;
+    let until = bench.now.after(Duration::from_millis(900));
+    while let Some(due) = bench.host.deadline().filter(|due| *due < until) {
+        woken += 1;
+        assert!(woken < 20, "the clusterer is woken again and again");
+        bench.now = due;
+        bench.input(Input::Timer);
+    }
+    bench.wait(1.0);
+    assert!(bench.job.is_some(), "it is tried again");
 }
 
 /// All robots are replaced by others, which come one camp after the other.
