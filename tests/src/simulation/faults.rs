@@ -80,6 +80,7 @@ impl World {
                         self.lose_disk(index);
                     }
                 }
+                self.oracle.all_ended();
                 if !disks {
                     self.oracle.forget_ids();
                 }
@@ -294,6 +295,7 @@ impl World {
                 self.nodes[index].kept = None;
             }
         }
+        self.oracle.all_ended();
     }
 
     fn leave(&mut self, index: usize, politely: bool, back: Option<Micros>, chance: &mut Chance) {

@@ -71,6 +71,11 @@ impl AlertLog {
         self.conflict_since = conflict.map(|_| self.conflict_since.unwrap_or(now));
     }
 
+    /// All services have ended: no division stands until one is published again.
+    pub(crate) fn all_ended(&mut self) {
+        self.conflict_since = None;
+    }
+
     /// Checks, once all have agreed for a while, that an alert says why limits or needs do not hold.
     pub(crate) fn check_conflict(&self, now: Micros) -> Verified {
         if self.says_infeasible || self.conflict_since.is_none_or(|at| now < at + ALERTED_WITHIN) {
@@ -113,6 +118,9 @@ mod tests {
         assert_eq!(log.check_conflict(6 + ALERTED_WITHIN), Ok(()));
         assert!(log.check_conflict(7 + ALERTED_WITHIN).is_err());
         log.says_infeasible = true;
+        assert_eq!(log.check_conflict(7 + ALERTED_WITHIN), Ok(()));
+        log.says_infeasible = false;
+        log.all_ended();
         assert_eq!(log.check_conflict(7 + ALERTED_WITHIN), Ok(()));
         log = AlertLog::default();
         assert_eq!(log.check_conflict(7 + ALERTED_WITHIN), Ok(()));

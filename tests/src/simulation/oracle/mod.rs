@@ -180,6 +180,11 @@ impl Oracle {
         }
     }
 
+    /// All services have ended at once.
+    pub(crate) fn all_ended(&mut self) {
+        self.alerts.all_ended();
+    }
+
     /// All instances have lost their disks at once: nobody can know which ids were given, whatever their clocks
     /// say.
     pub(crate) fn forget_ids(&mut self) {
