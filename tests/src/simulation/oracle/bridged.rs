@@ -5,6 +5,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use muster_client::Via;
 use muster_model::bridge::{BridgeState, TopicFault};
 use muster_model::header::Revision;
 use muster_model::id::RobotId;
@@ -92,7 +93,7 @@ pub(crate) struct Bridged {
     tokens: BTreeSet<String>,
     /// The highest division that ROS was shown by key.
     shown: BTreeMap<String, Revision>,
-    /// When divisions reached the process that were at least as new as others of that moment.
+    /// When divisions reached the process that say which one is valid.
     divisions: Vec<(Micros, Revision)>,
     /// What each robot was last shown of its team.
     pub(crate) reports: BTreeMap<String, TeamReport>,
@@ -142,10 +143,13 @@ impl Bridged {
         }
     }
 
-    /// A division reaches the process.
-    pub(crate) fn division(&mut self, now: Micros, revision: Revision) {
+    /// A division reaches the process. Only its publisher says that it is still valid: a reply may come from somebody who
+    /// remembers it, and counts if it is the newest that has come.
+    pub(crate) fn division(&mut self, now: Micros, revision: Revision, via: Via) {
         self.divisions.retain(|(at, _)| now < at + 2 * STAYS);
-        self.divisions.push((now, revision));
+        if via == Via::Put || self.divisions.iter().all(|(_, known)| *known < revision) {
+            self.divisions.push((now, revision));
+        }
     }
 
     /// Where a frame puts something in the world by the newest transforms.

@@ -466,7 +466,7 @@ impl World {
             let Ok(message) = Message::decode(&self.space, packet) else { continue };
             let input = match message {
                 Message::Teams { teams, .. } => {
-                    ros.judge.division(self.now, teams.header.revision);
+                    ros.judge.division(self.now, teams.header.revision, via);
                     let teams = teams.as_ref().clone();
                     let is_new = process.teams.receive(instant, teams, via);
                     let latest = process.teams.latest().filter(|_| is_new);
