@@ -9,8 +9,10 @@ use muster_model::command::{
 use muster_model::id::{CommandId, OperatorId};
 use muster_model::time::Tick;
 use muster_wire::Request;
+use serde_json::{Map, Value};
 
 use crate::io::GetId;
+use crate::replica::missed_changes::confirmed_patch;
 
 /// Names a command.
 pub(crate) type CommandName = (OperatorId, CommandId);
@@ -126,6 +128,15 @@ impl Commands {
     fn forget(&mut self, place: usize) {
         if let Some(name) = self.order.remove(place) {
             self.outcomes.remove(&name);
+        }
+    }
+
+    /// Leaves out of the patch of a command what commands that were given later have changed. Two instances that lead at the same
+    /// time carry out the same commands, and the terms of their outcomes do not tell which command came later.
+    pub(crate) fn drop_changed_later(&self, patch: &mut Map<String, Value>, expires: f64) {
+        let later = self.outcomes.values().filter(|outcome| outcome.expires > expires);
+        for changed in later.filter_map(|outcome| confirmed_patch(outcome)) {
+            patch.retain(|field, _| !changed.contains_key(field));
         }
     }
 

@@ -340,6 +340,30 @@ fn an_outcome_from_before_the_settings_on_the_disk_changes_nothing_after_a_resta
     assert_eq!((new.host.replica_state(), new.teams()), (ReplicaState::Leading, 6));
 }
 
+/// Two led for a while, and both carried out both commands of an operator. Of the second one, the outcome of the leader
+/// with the higher term is lost.
+#[test]
+fn a_command_that_was_replaced_by_a_later_one_does_not_come_back_with_a_higher_term() {
+    let mut leader = Driven::<ONE_LEADS>::leading();
+    set(&mut leader, "kim/c1", &json!({"teams": 7})).unwrap();
+    leader.wait(1.0);
+    set(&mut leader, "kim/c2", &json!({"teams": 6})).unwrap();
+    let said = outcomes(&leader);
+    let Revision { term, epoch } = said[1].header.revision;
+    let answers = vec![renewal("a", term, epoch), settings(term, epoch, 6)];
+    let mut standby = Driven::<ONE_LEADS>::answered(answers);
+    standby.receive(Message::Outcome(Arc::clone(&said[1])));
+    let mut first = CommandOutcome::clone(&said[0]);
+    first.header.revision = Revision { term: term + 1, epoch: 0 };
+    let first = Message::Outcome(Arc::new(first));
+    let stored = Stored { term: term + 1, ..standby.stored.clone() };
+    let new = Driven::<ONE_LEADS>::restarted(stored.clone(), vec![first.clone()]);
+    assert_eq!((new.host.replica_state(), new.teams()), (ReplicaState::Leading, 6));
+    let mut new = Driven::<ONE_LEADS>::restarted(stored, Vec::new());
+    new.receive(first);
+    assert_eq!((new.host.replica_state(), new.teams()), (ReplicaState::Leading, 6));
+}
+
 /// The leader was killed, and another one, which had been cut off and never received its term, was the only one for a while.
 #[test]
 fn a_change_that_a_leader_of_a_lower_term_has_confirmed_holds_after_a_restart() {

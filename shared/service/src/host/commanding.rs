@@ -107,9 +107,11 @@ impl<C: Core> Host<C> {
         let facilities = &mut self.facilities;
         let term = facilities.replica.revision().term;
         let Some(mut patch) = facilities.replica.settings.missed_by(&outcome, term) else { return };
+        let expires = outcome.expires;
         if !facilities.operator_commands.remember(outcome) {
             return;
         }
+        facilities.operator_commands.drop_changed_later(&mut patch, expires);
         let own = facilities.operator_commands.outcomes();
         let own = own.filter(|outcome| outcome.header.revision.term == term);
         for changed in own.filter_map(|outcome| confirmed_patch(outcome)) {

@@ -223,8 +223,11 @@ impl<C: Core> Host<C> {
         if occasion == Occasion::Start {
             self.facilities.notice_state_loss(seen);
         }
-        for patch in self.facilities.replica.settings.take_missed() {
-            self.change_confirmed(patch);
+        for mut missed in self.facilities.replica.settings.take_missed() {
+            self.facilities.operator_commands.drop_changed_later(&mut missed.patch, missed.expires);
+            if !missed.patch.is_empty() {
+                self.change_confirmed(missed.patch);
+            }
         }
         self.begin_term(seen);
         self.core.on_lead(&mut Context(&mut self.facilities), answers);

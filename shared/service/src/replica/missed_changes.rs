@@ -25,9 +25,19 @@ pub(crate) fn confirmed_patch(outcome: &CommandOutcome) -> Option<Map<String, Va
     }
 }
 
+/// A change that a leader has confirmed.
+#[derive(Debug)]
+pub(crate) struct MissedChange {
+    /// The revision of the settings in which it is in force.
+    revision: Revision,
+    /// Until when the command is remembered, which tells which of two commands was given later.
+    pub(crate) expires: f64,
+    pub(crate) patch: Map<String, Value>,
+}
+
 /// What a standby has received of the outcomes of its leader since the last settings of it.
 #[derive(Debug, Default)]
-pub(crate) struct MissedChanges(VecDeque<(Revision, Map<String, Value>)>);
+pub(crate) struct MissedChanges(VecDeque<MissedChange>);
 
 impl MissedChanges {
     /// An outcome was received, whose change is in force in the settings of that revision.
@@ -36,7 +46,8 @@ impl MissedChanges {
             if self.0.len() >= MAX_MISSED {
                 self.0.pop_front();
             }
-            self.0.push_back((outcome.header.revision, patch));
+            let (revision, expires) = (outcome.header.revision, outcome.expires);
+            self.0.push_back(MissedChange { revision, expires, patch });
         }
     }
 
@@ -46,15 +57,14 @@ impl MissedChanges {
         revision: Revision,
         has: impl Fn(&Map<String, Value>) -> bool,
     ) {
-        self.0.retain(|(changed, patch)| *changed >= revision && !has(patch));
+        self.0.retain(|missed| missed.revision >= revision && !has(&missed.patch));
     }
 
     /// The changes since settings of a revision, the oldest first; they are given once.
-    pub(crate) fn take_since(&mut self, revision: Revision) -> Vec<Map<String, Value>> {
+    pub(crate) fn take_since(&mut self, revision: Revision) -> Vec<MissedChange> {
         let mut all = std::mem::take(&mut self.0);
         // Several instances may have said them, each in its own order.
-        all.make_contiguous().sort_by_key(|(changed, _)| *changed);
-        let all = all.into_iter();
-        all.filter(|(changed, _)| *changed >= revision).map(|(_, patch)| patch).collect()
+        all.make_contiguous().sort_by_key(|missed| missed.revision);
+        all.into_iter().filter(|missed| missed.revision >= revision).collect()
     }
 }

@@ -11,7 +11,7 @@ use muster_wire::message::quoted;
 use serde_json::{Map, Value};
 
 use super::lease::RENEWAL_INTERVAL;
-use super::missed_changes::{MissedChanges, confirmed_patch};
+use super::missed_changes::{MissedChange, MissedChanges, confirmed_patch};
 
 /// Largest patch of settings in bytes.
 const MAX_PATCH_BYTES: usize = MAX_SMALL_PAYLOAD;
@@ -177,7 +177,7 @@ impl<S: Settings> ReplicaSettings<S> {
     }
 
     /// The changes that were confirmed after the settings that this instance has, the oldest first; they are given once.
-    pub(crate) fn take_missed(&mut self) -> Vec<Map<String, Value>> {
+    pub(crate) fn take_missed(&mut self) -> Vec<MissedChange> {
         self.missed.take_since(self.known_since())
     }
 
