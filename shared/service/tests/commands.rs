@@ -5,6 +5,7 @@
 mod small;
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use muster_model::command::{CommandOutcome, MAX_REMEMBERED_COMMANDS, MAX_REMEMBERED_REFUSALS};
 use muster_model::event::EventKind;
@@ -14,7 +15,7 @@ use muster_model::role::ReplicaState;
 use muster_service::{Command, GetId, IncomingGet, Input, Stored};
 use muster_wire::Message;
 use serde_json::{Value, json};
-use small::{Driven, ONE_LEADS, renewal, settings, token};
+use small::{Driven, ONE_LEADS, START, renewal, settings, token};
 
 /// Sends a command and returns its answer.
 fn command(driven: &mut Driven, key: &str, content: &Value) -> Result<Value, String> {
@@ -156,7 +157,7 @@ fn commands_are_remembered_over_a_restart_and_by_a_standby_that_takes_over() {
 
     let mut again = Driven::<ONE_LEADS>::with_stored(stored);
     again.input(Input::Started { linked: true });
-    again.now = again.now.after(std::time::Duration::from_secs(2));
+    again.now = again.now.after(Duration::from_secs(2));
     again.answer_all(Vec::new());
     assert_eq!(again.host.replica_state(), ReplicaState::Leading);
     set(&mut again, "lee/c2", &json!({"teams": 9})).unwrap();
@@ -206,7 +207,7 @@ fn ids_are_remembered_until_they_expire_and_no_more_than_that() {
     assert_eq!(standby.host.replica_state(), ReplicaState::Leading);
     let oldest = command(&mut standby, "kim/c0", &Value::Null).unwrap();
     assert_eq!(oldest["answer"]["teams"], 7, "{oldest}");
-    driven.now = driven.now.after(std::time::Duration::from_secs(61));
+    driven.now = driven.now.after(Duration::from_secs(61));
     set(&mut driven, "kim/one-more", &json!({"teams": 8})).unwrap();
     assert_eq!(driven.teams(), 8);
     let now = driven.now.as_seconds();
@@ -362,6 +363,24 @@ fn a_command_that_was_replaced_by_a_later_one_does_not_come_back_with_a_higher_t
     let mut new = Driven::<ONE_LEADS>::restarted(stored, Vec::new());
     new.receive(first);
     assert_eq!((new.host.replica_state(), new.teams()), (ReplicaState::Leading, 6));
+}
+
+/// The leader has published nothing yet, so that its settings have the same revision before and after the change. An instance that
+/// starts waits two seconds for answers that are lost, and has received those settings long before.
+#[test]
+fn an_answer_from_before_a_change_does_not_replace_the_settings_of_the_same_revision() {
+    let mut starting = Driven::<ONE_LEADS>::new();
+    starting.now = START.before(Duration::from_secs(2));
+    starting.input(Input::Started { linked: true });
+    let mut leader = Driven::<ONE_LEADS>::leading();
+    set(&mut leader, "kim/c1", &json!({"teams": 7})).unwrap();
+    let Revision { term, epoch } = outcomes(&leader)[0].header.revision;
+    starting.receive(settings(term, epoch, 5));
+    starting.receive(settings(term, epoch, 7));
+    assert_eq!(starting.teams(), 7);
+    starting.now = START;
+    starting.answer_all(vec![renewal("a", term, epoch), settings(term, epoch, 5)]);
+    assert_eq!((starting.host.replica_state(), starting.teams()), (ReplicaState::Standby, 7));
 }
 
 /// The leader was killed, and another one, which had been cut off and never received its term, was the only one for a while.

@@ -200,7 +200,10 @@ impl<C: Core> Host<C> {
                 Message::LeaseRenewal(_) => {}
                 // A suspect answers as well, with what it could not announce.
                 Message::Settings(announced) if announced.service == C::SERVICE => {
-                    self.adopt(&announced);
+                    let revision = announced.header.revision;
+                    if !self.facilities.replica.settings.were_adopted_with(revision) {
+                        self.adopt(&announced);
+                    }
                 }
                 Message::Outcome(outcome) if outcome.service == C::SERVICE => {
                     self.learn_outcome(outcome);

@@ -229,6 +229,12 @@ impl<S: Settings> ReplicaSettings<S> {
         is_due
     }
 
+    /// Whether an announcement of a revision was adopted. An answer of the same revision that was waiting for others to
+    /// come is from before that: a leader that has published nothing changes its settings without a new revision.
+    pub(crate) fn were_adopted_with(&self, revision: Revision) -> bool {
+        !self.are_from_disk && self.adopted == revision
+    }
+
     /// The revision of the announcement that the settings are from.
     pub(crate) fn adopted(&self) -> Revision {
         self.adopted
