@@ -12,7 +12,7 @@ use muster_wire::{Format, Key, Message, Packet, Source};
 
 use super::busy::Load;
 use super::chance::{Chance, Purpose};
-use super::clock::{HostClock, MS, Micros, SECOND};
+use super::clock::{BEGINNING, HostClock, MS, Micros, SECOND};
 use super::link::{State, Storm, Way};
 use super::plan::{Fault, Forgery, Injection, OutputKind, Place, Rubbish, Then};
 use super::proposer::{AtRest, Errand};
@@ -245,7 +245,7 @@ impl World {
     }
 
     /// A service that was killed begins without what it stored. By a clock that is right it begins above
-    /// the terms that it held all the same.
+    /// the terms that it held all the same, unless leaders have followed each other faster than its seconds.
     fn lose_disk(&mut self, index: usize) {
         let node = &mut self.nodes[index];
         node.stored = Stored::default();
@@ -258,7 +258,8 @@ impl World {
         let place = Place::Service(service, instance);
         let sets_its_clock = |injection: &Injection| matches!(injection.fault, Fault::Clock { at, .. } if at == place);
         let is_right = self.clocks_agree && !self.injections.iter().any(sets_its_clock);
-        if !is_right || self.oracle.had_forged_terms() {
+        let is_ahead = self.oracle.order.highest_given(service) >= (BEGINNING + self.now) / SECOND;
+        if !is_right || is_ahead || self.oracle.had_forged_terms() {
             self.oracle.forget_order(service, instance);
         }
         if service == ServiceName::Clusterer && !self.is_remembered_by_others() {
