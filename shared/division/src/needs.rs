@@ -68,7 +68,7 @@ enum Leniency {
 pub struct Needs {
     /// Ordered by skill.
     skills: Vec<NeededSkill>,
-    /// Teams whose robots are all stale: nobody could fill their needs in time, and nobody could use it.
+    /// Teams that need something and whose robots are all stale: nobody could fill that in time, and nobody could use it.
     silent: BTreeSet<TeamId>,
     leniency: Leniency,
 }
@@ -114,12 +114,17 @@ impl Needs {
         let active = roster.robots.iter().filter(|entry| entry.presence == Presence::Active);
         let active: BTreeSet<&RobotId> = active.map(|entry| &entry.robot).collect();
         let teams = division.into_iter().flat_map(|division| &division.teams);
+        let needs = Self { skills: skills.into_values().collect(), ..Self::default() };
+        // A team that needs nothing is the same to the rules whether its robots are silent or not: a division must not be
+        // made again because of it.
+        let needs_any =
+            |team: &TeamId| needs.skills.iter().any(|skill| needs.amount(skill, team).is_some());
         let silent = teams
+            .filter(|team| needs_any(&team.id))
             .filter(|team| team.members.iter().all(|member| !active.contains(&member.robot)))
             .map(|team| team.id.clone())
             .collect();
-        let skills = skills.into_values().collect();
-        Self { skills, silent, leniency: Leniency::Strict }
+        Self { silent, ..needs }
     }
 
     /// Whether nothing is needed.
