@@ -67,6 +67,8 @@ struct Task {
     wished: BTreeSet<TeamId>,
     /// How many teams.
     teams: u32,
+    /// Whether robots stay in their last team because a team has just returned.
+    keeps_robots: bool,
 }
 
 impl PartialEq for Task {
@@ -75,6 +77,7 @@ impl PartialEq for Task {
             && self.rules == other.rules
             && self.wished == other.wished
             && self.teams == other.teams
+            && self.keeps_robots == other.keeps_robots
             && same_data(&self.source.embedding, &other.source.embedding)
     }
 }
@@ -173,7 +176,11 @@ impl Clusterer {
             self.decide_number(now, &settings, rules.as_ref(), &newest.embedding);
         let wished = rules.as_ref().map(|rules| rules.wished(self.division.as_deref()));
         let wished = wished.unwrap_or_default();
-        let task = Task { source: newest.clone(), settings, rules: rules.clone(), wished, teams };
+        // Limits and wishes count at once, so that no robot is kept where there are any.
+        let keeps_robots = rules.is_none() && self.keeps_robots(now);
+        let rules_asked = rules.clone();
+        let source = newest.clone();
+        let task = Task { source, settings, rules: rules_asked, wished, teams, keeps_robots };
         if !self.flight.should_start(now, &task) {
             if self.flight.failure().is_none()
                 && let Some(published) = &mut self.published
@@ -192,7 +199,7 @@ impl Clusterer {
             teams,
             requested: teams.max(*task.settings.teams.range().start()),
             same_number: is_same,
-            returning: self.arrivals.is_team_returning(now).then(|| {
+            returning: keeps_robots.then(|| {
                 let renewed = self.orders.renewed(now, self.roster.as_deref());
                 renewed.into_iter().cloned().collect()
             }),
@@ -209,12 +216,20 @@ impl Clusterer {
         context.start_job(slot, job);
     }
 
+    /// Whether robots stay in their last team because a team has just returned: until no more robots of it are awaited, and,
+    /// where another number of teams is about to count by then, until it does. So they are divided anew once, not twice.
+    fn keeps_robots(&self, now: Tick) -> bool {
+        let kept = self.flight.completed().is_some_and(|last| last.keeps_robots);
+        self.arrivals.is_team_returning(now) || kept && self.count.due().is_some()
+    }
+
     /// When a job may have to start although nothing was received.
     fn consider_at(&self) -> Option<Tick> {
         let due = [
             self.flight.retry_at(),
             self.count.due(),
             self.keeping.gives_at(),
+            self.arrivals.settled_at(),
             self.awaits_until(),
         ];
         let is_to_come = |due: &Tick| self.considered_at.is_none_or(|at| *due > at);

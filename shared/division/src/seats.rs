@@ -18,7 +18,7 @@ use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, TeamId};
 use muster_model::limits::MAX_TEAMS;
 use muster_model::settings::TeamCount;
-use muster_model::teams::Teams;
+use muster_model::teams::{Limited, Teams};
 use muster_model::time::Tick;
 
 use crate::memory::{Memory, TEAM_MEMORY_TIME};
@@ -138,8 +138,12 @@ pub struct Vacancies {
 }
 
 impl Vacancies {
-    /// Those of a division of an earlier leader.
+    /// Those of a division of an earlier leader. A division that stands because nothing satisfies the limits has fewer teams than
+    /// were asked for as well, and keeps no seat for that.
     pub fn of(found: &Teams) -> Self {
+        if found.limited.as_ref().is_some_and(Limited::stands) {
+            return Self::default();
+        }
         let teams = u32::try_from(found.teams.len()).unwrap_or(u32::MAX);
         // A file may say anything.
         let requested = found.requested.min(MAX_TEAMS);
@@ -175,6 +179,12 @@ impl Arrivals {
     #[must_use]
     pub fn is_team_returning(&self, now: Tick) -> bool {
         settles(self.returned, now)
+    }
+
+    /// When the robots of the team that returned last are no longer waited for; none if no team has returned.
+    #[must_use]
+    pub fn settled_at(&self) -> Option<Tick> {
+        Some(self.returned?.after(SETTLE_TIME))
     }
 }
 

@@ -48,6 +48,9 @@ pub(super) const AGREED_ORDERS_TIME: Micros = 12 * SECOND;
 /// is known to have left within eight seconds, and a second until that is divided.
 const SEATS_TIME: Micros = 69 * SECOND;
 
+/// How long it may take until all agree on a division that fills such a place: it is audited and reaches the robots.
+const SEAT_FILLED_TIME: Micros = SECOND;
+
 /// One run in so many continues past the time within which all must have agreed.
 const LONG_RUN_EVERY: u64 = 8;
 
@@ -190,9 +193,11 @@ pub(super) struct World {
     pub(super) at_rest: Option<AtRest>,
     /// What all had agreed on when the power was cut, until they agree again.
     pub(super) stands: Option<Agreed>,
-    settled: Option<(Micros, Agreed)>,
+    pub(super) settled: Option<(Micros, Agreed)>,
     /// When a team last took the place of one that is absent, after an agreement.
     seat_filled: Micros,
+    /// Since when all are about to agree on that.
+    seat_being_filled: Option<Micros>,
     /// A console is to join now that all have agreed.
     joins_late: bool,
     differs: String,
@@ -337,6 +342,7 @@ impl World {
             stands: None,
             settled: None,
             seat_filled: 0,
+            seat_being_filled: None,
             joins_late: false,
             differs: String::new(),
             finished: false,
@@ -611,6 +617,9 @@ impl World {
                     .and_then(|()| self.oracle.agreement(&ground_truth))
             }
         };
+        if agreed.is_ok() {
+            self.seat_being_filled = None;
+        }
         match (agreed, self.settled.take()) {
             (Ok(now), None) => {
                 self.log.line(self.now, format_args!("all agree"));
@@ -631,6 +640,9 @@ impl World {
                 }
                 Err(breach) => self.require(Err(breach)),
             },
+            (Err(_), Some((at, before))) if self.is_seat_being_filled(since, &before) => {
+                self.settled = Some((at, before));
+            }
             (Err(differs), _) => {
                 if differs != self.differs {
                     self.log.line(self.now, format_args!("they differ: {differs}"));
@@ -682,8 +694,17 @@ impl World {
         if self.settled.is_some() {
             self.rest(settled_for);
         }
-        self.finished &= self.at_rest.is_none();
+        self.finished &= self.at_rest.is_none() && self.seat_being_filled.is_none();
         self.schedule(self.now + TICK, Event::Poll);
+    }
+
+    /// Whether all differ only because a division that fills the place of an absent team has just been published, long after
+    /// the last fault.
+    fn is_seat_being_filled(&mut self, since: Micros, before: &Agreed) -> bool {
+        let may_end = before.has_free_seats()
+            && (AGREEMENT_TICKS * TICK..=SEATS_TIME).contains(&since)
+            && self.oracle.unchanged(before).is_err();
+        may_end && self.now <= *self.seat_being_filled.get_or_insert(self.now) + SEAT_FILLED_TIME
     }
 
     /// Whether nothing is about to change by itself.
@@ -715,7 +736,7 @@ impl World {
         let Some((_, agreed)) = self.settled.take_if(is_settled) else { return };
         self.power_cut = None;
         self.quiet_since = self.now + lasts;
-        self.stands = Some(agreed).filter(Agreed::has_robots);
+        self.stands = Some(agreed).filter(|agreed| self.oracle.is_to_stand(agreed));
         self.cut_power(lasts);
     }
 

@@ -156,6 +156,34 @@ fn robots_of_a_team_that_returns_are_told_their_team_wherever_their_vectors_are_
     }
 }
 
+/// The robots of the team that returned have gone elsewhere, and then the whole fleet stands still.
+#[test]
+fn robots_that_stand_still_are_divided_again_once_a_team_that_returned_is_whole() {
+    let (mut bench, _) = divided(settings(TeamCount::Fixed(3)), &camps(1, ALL, &THREE));
+    bench.wait(0.1);
+    bench.receive_embedding(&camps(2, WITHOUT, &TWO));
+    bench.wait(1.0);
+    let elsewhere = |epoch: u64| {
+        let mut embedding = Embedding::clone(&camps(epoch, ALL, &THREE));
+        let dimension = embedding.dimension as usize;
+        for row in 8..embedding.robots.len() {
+            // Among the robots of the first camp.
+            embedding.values[row * dimension] = 1.4;
+            embedding.values[row * dimension + 1] = 0.2;
+        }
+        Checked::new_unchecked(embedding)
+    };
+    bench.receive_embedding(&elsewhere(3));
+    assert_eq!(short(&held(&mut bench)), WHOLE);
+    bench.wait(4.0);
+    let settled = short(&held(&mut bench));
+    assert_ne!(settled, WHOLE);
+    // So it is by the next frame with the same vectors, and after a restart.
+    bench.receive_embedding(&elsewhere(4));
+    bench.wait(4.0);
+    assert_eq!(short(&held(&mut bench)), settled);
+}
+
 #[test]
 fn an_absent_team_is_the_reason_for_fewer_teams_and_not_reported_as_another_one() {
     let (mut bench, _) = divided(settings(TeamCount::Fixed(3)), &camps(1, ALL, &[]));

@@ -229,9 +229,10 @@ impl Oracle {
         Ok(())
     }
 
-    /// The same process divides the same vectors under the same settings as it did just before: what it held
-    /// back for a while may follow, and nothing else. So the number of teams changes once at most, and while it
-    /// stays so do the teams, between which each robot moves once at most. Robots without a team keep to that.
+    /// The same leader divides the same vectors under the same settings as it did just before: what it held back for a
+    /// while may follow, and nothing else: another number of teams, and the division of robots that stayed in their last team
+    /// because a team had returned. So there are other teams once at most, and between the same teams each robot moves once at
+    /// most. Robots without a team keep to that.
     pub(super) fn check_same_again(&mut self, before: Divided) -> Verified {
         let Some(now) = &self.divided else { return Ok(()) };
         let same_vectors = || {
@@ -240,7 +241,7 @@ impl Oracle {
             // Where two leaders gave one revision, it is not known which of the two was divided.
             matches!((old, new), ([old], [new]) if same_vectors(old, new))
         };
-        if (before.publisher, before.settings) != (now.publisher, now.settings) || !same_vectors() {
+        if before.leadership() != now.leadership() || !same_vectors() {
             return Ok(());
         }
         // Who can fill needs depends on the roster as well.
@@ -249,15 +250,11 @@ impl Oracle {
         if has_needs && able(&before.teams) != able(&now.teams) {
             return Ok(());
         }
-        let number = |teams: &Teams| (teams.requested, teams.teams.len());
         let moved = moved(&before.teams, &now.teams);
         let ids =
             |teams: &Teams| teams.teams.iter().map(|team| team.id.clone()).collect::<Vec<_>>();
         let same_ids = ids(&before.teams) == ids(&now.teams);
-        // That fewer are asked for than could be formed anyway is no change that anybody sees.
-        let changed = number(&before.teams) != number(&now.teams) && !same_ids;
-        let follows =
-            if changed { !before.counted } else { same_ids && moved.is_disjoint(&before.moved) };
+        let follows = if same_ids { moved.is_disjoint(&before.moved) } else { !before.renamed };
         if !follows || before.teams.unassigned != now.teams.unassigned {
             return breach(
                 UNCHANGED,
@@ -265,12 +262,18 @@ impl Oracle {
             );
         }
         if let Some(now) = &mut self.divided {
-            now.counted = before.counted || changed;
-            if !changed {
+            now.renamed = before.renamed || !same_ids;
+            if same_ids {
                 now.moved = &before.moved | &moved;
             }
         }
         Ok(())
+    }
+
+    /// Whether a restart of everything leaves the division as all have agreed on it. Where something is asked of a team that there
+    /// may be only later, the number of that team may be another one after it.
+    pub(crate) fn is_to_stand(&self, agreed: &Agreed) -> bool {
+        agreed.division.as_ref().is_some_and(|teams| !self.limits.name_team_to_come(teams))
     }
 
     /// A restart of everything leaves the division as all had agreed on it.

@@ -99,6 +99,20 @@ impl Limits {
         wanted.any(|id| has(now, id) && !has(before, id))
     }
 
+    /// Whether settings or wishes name a team that there may be only later, by a number that no team has had yet. After a
+    /// restart of everything numbers go on higher, so that no team may ever have it.
+    pub(crate) fn name_team_to_come(&self, teams: &Teams) -> bool {
+        let settings = self.announced.last();
+        let limited = settings.into_iter().flat_map(|settings| settings.team_size.keys());
+        let needing = settings.into_iter().flat_map(|settings| &settings.needs);
+        let needing = needing.filter_map(|need| need.team.as_ref());
+        let wished = self.wishes.iter().filter(|one| one.state != WishState::Expired);
+        let wished = wished.filter_map(|one| one.wish.team.as_ref());
+        let number = |id: &TeamId| id.as_str().strip_prefix('t')?.parse::<u64>().ok();
+        let mut named = limited.chain(needing).chain(wished);
+        named.any(|id| number(id).is_some_and(|number| number >= teams.next_team))
+    }
+
     /// A pin or a ban that was granted and is not.
     fn broken_wish(&self, teams: &Teams) -> Option<&StandingWish> {
         let granted = self.wishes.iter().filter(|one| one.state == WishState::Active);

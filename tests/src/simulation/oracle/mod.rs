@@ -85,8 +85,15 @@ struct Divided {
     teams: Checked<Teams>,
     /// The robots that have changed teams since the vectors, the settings and the number of teams did.
     moved: BTreeSet<RobotId>,
-    /// Whether the number of teams has changed since the vectors and the settings did.
-    counted: bool,
+    /// Whether there have been other teams since the vectors and the settings changed.
+    renamed: bool,
+}
+
+impl Divided {
+    /// What goes on from its own last division: a process in one term, under unchanged settings.
+    fn leadership(&self) -> (Publisher, u64, u32) {
+        (self.publisher, self.teams.header.revision.term, self.settings)
+    }
 }
 
 /// What has been published, by revision. Two leaders may give the same one.
@@ -322,9 +329,9 @@ impl Oracle {
                 if let Some(ids) = &mut self.ids {
                     ids.check(teams)?;
                 }
-                let (moved, counted) = (BTreeSet::new(), false);
+                let (moved, renamed) = (BTreeSet::new(), false);
                 let teams_now = teams.clone();
-                let divided = Divided { publisher, settings, teams: teams_now, moved, counted };
+                let divided = Divided { publisher, settings, teams: teams_now, moved, renamed };
                 if let Some(before) = self.divided.replace(divided) {
                     self.check_same_again(before)?;
                 }
