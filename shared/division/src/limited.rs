@@ -31,7 +31,7 @@ use crate::seats::last_of;
 pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
     let found = divide_once(job, rules)?;
     // Wishes for a team that is new, or lives again, count from the next division on: it keeps a robot of before until then.
-    let Some(first) = job.previous.as_deref().filter(|first| has_same_teams(first, &found)) else {
+    let Some(first) = job.previous.as_deref().filter(|first| has_all_teams(first, &found)) else {
         return Ok(found);
     };
     if is_kept(first, &found) || found.limited.as_ref().is_some_and(Limited::stands) {
@@ -55,6 +55,11 @@ fn has_same_teams(left: &Teams, right: &Teams) -> bool {
         teams.teams.iter().map(|team| team.id.clone()).collect()
     };
     ids(left) == ids(right)
+}
+
+/// Whether all teams of a division were there before.
+fn has_all_teams(before: &Teams, now: &Teams) -> bool {
+    now.teams.iter().all(|team| before.teams.iter().any(|known| known.id == team.id))
 }
 
 /// Whether every robot of a division was in its team before.
