@@ -1,6 +1,6 @@
 //! Commands of operators: those that are being carried out, and what came of the last ones.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use muster_model::command::{
@@ -46,6 +46,9 @@ pub(crate) struct Commands {
     outcomes: BTreeMap<CommandName, Arc<CommandOutcome>>,
     /// Their names, the oldest first.
     order: VecDeque<CommandName>,
+    /// Those of them that this process has answered itself, or has from its disk, which does not tell. Another instance may have
+    /// the same term.
+    own: BTreeSet<CommandName>,
 }
 
 impl Commands {
@@ -53,7 +56,7 @@ impl Commands {
     pub(crate) fn new(outcomes: &[CommandOutcome]) -> Self {
         let mut commands = Self::default();
         for outcome in outcomes {
-            commands.remember(Arc::new(outcome.clone()));
+            commands.remember_own(Arc::new(outcome.clone()));
         }
         commands
     }
@@ -93,6 +96,14 @@ impl Commands {
         self.pending.remove(&get)
     }
 
+    /// Remembers what this process has answered.
+    pub(crate) fn remember_own(&mut self, outcome: Arc<CommandOutcome>) {
+        let name = (outcome.operator.clone(), outcome.id.clone());
+        if self.remember(outcome) {
+            self.own.insert(name);
+        }
+    }
+
     /// Remembers an outcome. Returns whether it was not known, and there was room for it. What one leader has carried out
     /// counts, even if another one at the same time has refused it, by a wrong clock for example.
     pub(crate) fn remember(&mut self, outcome: Arc<CommandOutcome>) -> bool {
@@ -128,6 +139,7 @@ impl Commands {
     fn forget(&mut self, place: usize) {
         if let Some(name) = self.order.remove(place) {
             self.outcomes.remove(&name);
+            self.own.remove(&name);
         }
     }
 
@@ -143,5 +155,12 @@ impl Commands {
     /// What is remembered, the oldest first.
     pub(crate) fn outcomes(&self) -> impl Iterator<Item = &Arc<CommandOutcome>> {
         self.order.iter().filter_map(|name| self.outcomes.get(name))
+    }
+
+    /// What this instance itself has answered in a term, the oldest first.
+    pub(crate) fn own_outcomes(&self, term: u64) -> impl Iterator<Item = &Arc<CommandOutcome>> {
+        let own = self.order.iter().filter(|name| self.own.contains(*name));
+        let own = own.filter_map(|name| self.outcomes.get(name));
+        own.filter(move |outcome| outcome.header.revision.term == term)
     }
 }

@@ -290,12 +290,13 @@ fn a_leader_that_is_back_says_what_it_had_confirmed() {
         old.wait(0.5);
     }
     assert_eq!(old.host.replica_state(), ReplicaState::Standby);
-    // What it says once may be lost: it says it again with three renewals of the new leader.
+    // What it says once may be lost: it says it with three renewals as it follows the new leader, once more when what it asked
+    // then is answered, and with three more renewals.
     for epoch in 11..20 {
         old.receive(renewal("a", said[0].header.revision.term + 1, epoch));
         old.wait(0.5);
     }
-    assert_eq!(outcomes(&old), vec![Arc::clone(&said[0]); 5]);
+    assert_eq!(outcomes(&old), vec![Arc::clone(&said[0]); 8]);
 
     let (mut new, outcome) = after_a_change(7);
     take_over(&mut new);
@@ -400,6 +401,80 @@ fn a_change_that_a_leader_of_a_lower_term_has_confirmed_holds_after_a_restart() 
     standby.receive(Message::Outcome(confirmed));
     take_over(&mut standby);
     assert_eq!(standby.teams(), 5);
+}
+
+/// Two that did not hear each other have begun the same term, and an operator's commands have reached one each.
+#[test]
+fn a_change_that_another_leader_of_the_same_term_has_confirmed_holds_unless_a_later_one_replaced_it()
+ {
+    let [mut first, mut second] = [(), ()].map(|()| Driven::<ONE_LEADS>::leading());
+    set(&mut first, "kim/c1", &json!({"teams": 7})).unwrap();
+    let said = outcomes(&first)[0].clone();
+    second.receive(Message::Outcome(Arc::clone(&said)));
+    assert_eq!(second.teams(), 7);
+    second.wait(1.0);
+    set(&mut second, "kim/c2", &json!({"teams": 6})).unwrap();
+    let answer = outcomes(&second)[0].clone();
+    assert_eq!(answer.header.revision.term, said.header.revision.term);
+    first.receive(Message::Outcome(Arc::clone(&answer)));
+    assert_eq!(first.teams(), 6);
+    // The earlier one does not come back.
+    let mut third = Driven::<ONE_LEADS>::leading();
+    third.wait(1.0);
+    set(&mut third, "kim/c3", &json!({"teams": 8})).unwrap();
+    third.receive(Message::Outcome(said));
+    assert_eq!(third.teams(), 8);
+}
+
+/// What it asked as it began may be answered seconds after it has received a renewal, and its leader may be gone by then.
+#[test]
+fn an_instance_that_is_back_says_what_it_had_confirmed_as_soon_as_it_follows_a_leader() {
+    let mut old = Driven::<ONE_LEADS>::leading();
+    set(&mut old, "kim/c1", &json!({"teams": 7})).unwrap();
+    let said = outcomes(&old);
+    let mut back = Driven::<ONE_LEADS>::with_stored(old.stored.clone());
+    back.input(Input::Started { linked: true });
+    back.receive(token("a", true));
+    assert_eq!(outcomes(&back), Vec::new());
+    back.receive(renewal("a", said[0].header.revision.term + 1, 5));
+    assert_eq!(back.host.replica_state(), ReplicaState::Standby);
+    assert_eq!(outcomes(&back), said);
+}
+
+/// A leader that was cut off begins again with an old term, as the only one. Who has led since takes over with what it knows.
+#[test]
+fn settings_of_a_leader_of_a_lower_term_do_not_replace_those_of_the_term_on_the_disk() {
+    let mut old = Driven::<ONE_LEADS>::leading();
+    set(&mut old, "kim/c1", &json!({"teams": 7})).unwrap();
+    let (stored, lower) = (Stored { term: 9, ..old.stored.clone() }, 8);
+    let answers = vec![renewal("a", lower, 5), settings(lower, 5, 5)];
+    let mut back = Driven::<ONE_LEADS>::restarted(stored, answers);
+    assert_eq!((back.host.replica_state(), back.teams()), (ReplicaState::Standby, 7));
+    back.receive(token("a", true));
+    for epoch in 6..9 {
+        back.receive(settings(lower, epoch, 5));
+        back.receive(renewal("a", lower, epoch));
+        back.wait(0.5);
+        back.answer_all(vec![settings(lower, epoch, 5)]);
+    }
+    assert_eq!((back.host.replica_state(), back.teams()), (ReplicaState::Leading, 7));
+}
+
+/// What is said again is taken for what its sender has answered.
+#[test]
+fn a_leader_that_is_back_says_nothing_that_another_leader_of_its_term_has_answered() {
+    let [mut other, mut old] = [(), ()].map(|()| Driven::<ONE_LEADS>::leading());
+    set(&mut other, "kim/c1", &json!({"teams": 7})).unwrap();
+    let said = outcomes(&other)[0].clone();
+    old.receive(Message::Outcome(Arc::clone(&said)));
+    old.receive(token("a", true));
+    for epoch in 5..20 {
+        old.receive(renewal("a", said.header.revision.term + 1, epoch));
+        old.answer_all(Vec::new());
+        old.wait(0.5);
+    }
+    assert_eq!(old.host.replica_state(), ReplicaState::Standby);
+    assert_eq!(outcomes(&old), Vec::new());
 }
 
 /// Two led for a while, and an operator's command reached both. The clock of one was wrong, so that it refused the command.

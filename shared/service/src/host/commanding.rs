@@ -97,8 +97,9 @@ impl<C: Core> Host<C> {
         }
     }
 
-    /// A leader before this one is back, and says what it had confirmed: what of that this one does not know, and has not
-    /// changed since, holds from now on. What has no effect here is not remembered: the same command may still arrive.
+    /// A leader before this one is back, or one that began the same term, and says what it had confirmed: what of that this
+    /// one does not know, and has not changed since, holds from now on. What has no effect here is not remembered: the same
+    /// command may still arrive.
     fn make_up_for(&mut self, outcome: Arc<CommandOutcome>) {
         // Where every instance leads, each carries commands out itself.
         if C::REPLICATION == Replication::EveryInstance {
@@ -107,13 +108,13 @@ impl<C: Core> Host<C> {
         let facilities = &mut self.facilities;
         let term = facilities.replica.revision().term;
         let Some(mut patch) = facilities.replica.settings.missed_by(&outcome, term) else { return };
-        let expires = outcome.expires;
+        let (expires, is_of_before) = (outcome.expires, outcome.header.revision.term < term);
         if !facilities.operator_commands.remember(outcome) {
             return;
         }
         facilities.operator_commands.drop_changed_later(&mut patch, expires);
-        let own = facilities.operator_commands.outcomes();
-        let own = own.filter(|outcome| outcome.header.revision.term == term);
+        // Of two leaders of one term neither was before the other.
+        let own = facilities.operator_commands.own_outcomes(term).filter(|_| is_of_before);
         for changed in own.filter_map(|outcome| confirmed_patch(outcome)) {
             patch.retain(|field, _| !changed.contains_key(field));
         }
@@ -147,10 +148,9 @@ impl<C: Core> Host<C> {
     pub(super) fn say_confirmed_changes(&mut self) {
         let facilities = &mut self.facilities;
         let term = facilities.replica.revision().term;
-        let is_own = |outcome: &&Arc<CommandOutcome>| {
-            outcome.header.revision.term == term && confirmed_patch(outcome).is_some()
-        };
-        let own: Vec<_> = facilities.operator_commands.outcomes().filter(is_own).cloned().collect();
+        let own = facilities.operator_commands.own_outcomes(term);
+        let own = own.filter(|outcome| confirmed_patch(outcome).is_some());
+        let own: Vec<_> = own.cloned().collect();
         for outcome in own.into_iter().rev().take(MAX_MISSED).rev() {
             facilities.publish(Message::Outcome(outcome));
         }
@@ -284,7 +284,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
     /// Returns the problem.
     fn refuse_command(&mut self, name: &CommandName, refusal: Refusal<'_>) -> String {
         let (outcome, problem) = self.report_refusal(name, refusal);
-        self.operator_commands.remember(outcome);
+        self.operator_commands.remember_own(outcome);
         problem
     }
 
@@ -326,7 +326,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
             answer: text.and_then(remembered),
             may_be_repeated: false,
         });
-        self.operator_commands.remember(Arc::clone(&outcome));
+        self.operator_commands.remember_own(Arc::clone(&outcome));
         self.store();
         self.publish_as_leader(Message::Outcome(Arc::clone(&outcome)));
         self.report_command(&name, outcome.action.clone(), outcome.refused.as_deref());

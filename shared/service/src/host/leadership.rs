@@ -70,7 +70,13 @@ impl<C: Core> Host<C> {
     pub(super) fn renewal(&mut self, renewal: &LeaseRenewal, source: RenewalSource) -> Rivalry {
         let replica = &mut self.facilities.replica;
         let term = replica.revision().term;
-        replica.election.renewal(self.facilities.now, renewal, source, term)
+        let before = replica.election.state();
+        let rivalry = replica.election.renewal(self.facilities.now, renewal, source, term);
+        if before != ReplicaState::Standby && replica.election.state() == ReplicaState::Standby {
+            // What it asked as it began may be answered seconds later, and it may take over before that.
+            replica.settings.repeat_confirmations();
+        }
+        rivalry
     }
 
     /// Settles which of two leaders goes on.

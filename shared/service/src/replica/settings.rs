@@ -181,8 +181,8 @@ impl<S: Settings> ReplicaSettings<S> {
         self.missed.take_since(self.known_since())
     }
 
-    /// What a leader before this one, of a lower term than `term`, has changed after the settings with which that began. None
-    /// if it is in them, or changed nothing.
+    /// What another leader has changed after the settings with which the term `term` of this one began. None if it is in them, or
+    /// changed nothing, or if that leader has a higher term. Two instances may have begun the same term.
     pub(crate) fn missed_by(
         &self,
         outcome: &CommandOutcome,
@@ -190,7 +190,7 @@ impl<S: Settings> ReplicaSettings<S> {
     ) -> Option<Map<String, Value>> {
         let revision = outcome.header.revision;
         let is_missed =
-            revision.term < term && revision >= self.basis && revision > self.stored_with;
+            revision.term <= term && revision >= self.basis && revision > self.stored_with;
         confirmed_patch(outcome).filter(|patch| is_missed && !has(&self.current, patch))
     }
 
@@ -309,8 +309,10 @@ impl<S: Settings> ReplicaSettings<S> {
             self.of_next_leader = Some(announced.clone());
             return Adoption::NotLeaders;
         }
-        let is_leaders =
-            |leader: Revision| leader.term == revision.term && leader.term < self.adopted.term;
+        // The term on the disk is one that was led, so that its settings are newer. Who has them takes over.
+        let is_leaders = |leader: Revision| {
+            leader.term == revision.term && leader.term < self.adopted.term && !self.are_from_disk
+        };
         if revision < self.adopted && !followed.is_some_and(is_leaders) {
             return Adoption::Old;
         }

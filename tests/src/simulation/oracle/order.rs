@@ -31,8 +31,8 @@ pub(crate) struct Order {
     taken: BTreeMap<(Publisher, &'static str), Revision>,
     /// The last publisher of each key, and the highest term of each that has published on it.
     publishers: BTreeMap<String, (Publisher, BTreeMap<Publisher, u64>)>,
-    /// What an instance said that came of each command, by its key.
-    outcomes: BTreeMap<(ServiceName, usize, String), Arc<CommandOutcome>>,
+    /// What each instance said that came of each command, by its key.
+    outcomes: BTreeMap<String, BTreeMap<usize, Arc<CommandOutcome>>>,
     /// When each process last renewed its lease.
     renewals: BTreeMap<Publisher, Micros>,
     /// Until when something may keep an instance of a service from receiving a lease renewal.
@@ -64,16 +64,18 @@ impl Order {
         }
     }
 
-    /// Whether what came of a command was published before: an instance that led says it again to whoever leads now.
+    /// Whether what came of a command was published before: an instance that led says it again to whoever leads now. After a
+    /// restart it says what it has on its disk, of another leader of the same term as well.
     fn is_repeated(
         &mut self,
         publisher: Publisher,
         key: &str,
         outcome: &Arc<CommandOutcome>,
     ) -> bool {
-        let place = (publisher.service, publisher.instance, key.to_owned());
-        let before = self.outcomes.insert(place, Arc::clone(outcome));
-        before.is_some_and(|before| before == *outcome)
+        let said = self.outcomes.entry(key.to_owned()).or_default();
+        let is_repeated = said.values().any(|before| before == outcome);
+        said.insert(publisher.instance, Arc::clone(outcome));
+        is_repeated
     }
 
     /// Checks what a service publishes.
