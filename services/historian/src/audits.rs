@@ -6,21 +6,22 @@ use std::time::Duration;
 use muster_model::audit::Audit;
 use muster_model::history::AuditRecord;
 use muster_model::time::Tick;
+use muster_service::{Newest, Recency};
 
 /// The scores as they are recorded.
 #[derive(Debug, Default)]
 pub(crate) struct Audits {
     /// The newest that was received.
     newest: Option<Arc<Audit>>,
+    newest_revision: Newest,
     /// What was recorded last, and when.
     recorded: Option<(Arc<Audit>, Tick)>,
 }
 
 impl Audits {
     /// Receives scores; those that are older than the newest are left out.
-    pub(crate) fn receive(&mut self, audit: Arc<Audit>) {
-        let newest = self.newest.as_ref().map(|newest| newest.header.revision);
-        if newest.is_none_or(|newest| audit.header.revision > newest) {
+    pub(crate) fn receive(&mut self, now: Tick, audit: Arc<Audit>) {
+        if self.newest_revision.receive(now, audit.header.revision) != Recency::Old {
             self.newest = Some(audit);
         }
     }

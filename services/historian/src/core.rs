@@ -87,9 +87,9 @@ impl Historian {
                     record(context, Record::Division(division));
                 }
             }
-            Message::Audit(audit) => self.audits.receive(audit),
+            Message::Audit(audit) => self.audits.receive(context.now(), audit),
             Message::Roster(roster) => {
-                for change in self.fleet.receive(roster) {
+                for change in self.fleet.receive(context.now(), roster) {
                     record(context, change);
                 }
             }

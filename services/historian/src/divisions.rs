@@ -8,6 +8,7 @@ use muster_model::history::{DivisionRecord, Place, SnapshotCause, TeamLine};
 use muster_model::id::{RobotId, TeamId};
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
+use muster_service::{Newest, Recency};
 
 /// How often a division is recorded as a whole: what a moment is found by is read from there on.
 pub(crate) const SNAPSHOT_INTERVAL: Duration = Duration::from_secs(600);
@@ -24,6 +25,7 @@ struct Whereabouts<'a> {
 #[derive(Debug, Default)]
 pub(crate) struct Divisions {
     last: Option<Checked<Teams>>,
+    newest: Newest,
     /// When the last one was recorded as a whole.
     whole_at: Option<Tick>,
 }
@@ -31,8 +33,10 @@ pub(crate) struct Divisions {
 impl Divisions {
     /// Receives a division. What is returned is to be recorded.
     pub(crate) fn receive(&mut self, now: Tick, teams: Checked<Teams>) -> Option<DivisionRecord> {
+        if self.newest.receive(now, teams.header.revision) == Recency::Old {
+            return None;
+        }
         let record = match &self.last {
-            Some(last) if teams.header.revision <= last.header.revision => return None,
             Some(last) if teams.same_division(last) => None,
             Some(last) => Some(changes(last, &teams)),
             None => {

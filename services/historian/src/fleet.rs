@@ -7,11 +7,14 @@ use muster_model::history::{LeaveReason, Record};
 use muster_model::id::RobotId;
 use muster_model::limits::MAX_ROBOTS;
 use muster_model::roster::Roster;
+use muster_model::time::Tick;
+use muster_service::{Newest, Recency};
 
 /// The robots of the fleet.
 #[derive(Debug, Default)]
 pub(crate) struct Fleet {
     roster: Option<Checked<Roster>>,
+    newest: Newest,
     /// Robots whose tokens are there, no more than a fleet may have: anybody may declare one.
     tokens: BTreeSet<RobotId>,
 }
@@ -27,14 +30,14 @@ impl Fleet {
     }
 
     /// Receives a roster. What is returned is to be recorded, robots that left first.
-    pub(crate) fn receive(&mut self, roster: Checked<Roster>) -> Vec<Record> {
+    pub(crate) fn receive(&mut self, now: Tick, roster: Checked<Roster>) -> Vec<Record> {
+        if self.newest.receive(now, roster.header.revision) == Recency::Old {
+            return Vec::new();
+        }
         let Some(last) = &self.roster else {
             self.roster = Some(roster);
             return self.present().into_iter().collect();
         };
-        if roster.header.revision <= last.header.revision {
-            return Vec::new();
-        }
         // Both are ordered by name.
         let (mut left, mut joined) = (Vec::new(), Vec::new());
         let (mut old, mut new) = (last.robots.iter().peekable(), roster.robots.iter().peekable());

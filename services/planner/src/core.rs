@@ -14,8 +14,8 @@ use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_service::following::{Acceptance, Follower};
 use muster_service::{
-    Connectivity, Core, Delivery, Get, JobEnd, MemoryUse, ServedKey, Stopwatch, Subscription,
-    Wiring,
+    Connectivity, Core, Delivery, Get, JobEnd, MemoryUse, Newest, Recency, ServedKey, Stopwatch,
+    Subscription, Wiring,
 };
 use muster_wire::proposal::{ProposalChange, decode_request};
 use muster_wire::{Key, Message, Pattern};
@@ -48,6 +48,9 @@ pub struct Planner {
     embedding: Option<Checked<Embedding>>,
     /// The live division.
     teams: Option<Checked<Teams>>,
+    newest_roster: Newest,
+    newest_embedding: Newest,
+    newest_teams: Newest,
     /// Teams that robots had before it.
     memory: Arc<Memory>,
     proposals: Proposals,
@@ -95,10 +98,16 @@ impl Planner {
             Message::Graph(delta) => {
                 self.follow.accept_graph(&delta).map_err(|error| error.to_string())
             }
-            Message::Roster(roster) => Ok(self.follow.accept_roster(roster)),
+            Message::Roster(roster) => {
+                let revision = roster.header.revision;
+                if self.newest_roster.receive(context.now(), revision) == Recency::Restarted {
+                    self.follow = Follower::default();
+                }
+                Ok(self.follow.accept_roster(roster))
+            }
             Message::Embedding(embedding) => {
-                let last = self.embedding.as_ref().map(|last| last.header.revision);
-                if last.is_none_or(|last| embedding.header.revision > last) {
+                let revision = embedding.header.revision;
+                if self.newest_embedding.receive(context.now(), revision) != Recency::Old {
                     self.embedding = Some(embedding);
                 }
                 return None;
@@ -117,11 +126,12 @@ impl Planner {
 
     /// Accepts a division, and remembers the teams of robots that left theirs, as the clusterer does.
     fn accept_teams(&mut self, now: Tick, teams: Checked<Teams>) {
-        let last = self.teams.as_ref();
-        let is_new = last.is_none_or(|last| teams.header.revision > last.header.revision);
-        if !is_new || !is_believable(&teams) {
+        if !is_believable(&teams)
+            || self.newest_teams.receive(now, teams.header.revision) == Recency::Old
+        {
             return;
         }
+        let last = self.teams.as_ref();
         if last.is_none_or(|last| !teams.same_division(last)) {
             Arc::make_mut(&mut self.memory).follow(now, self.teams.as_deref(), &teams);
         }

@@ -5,14 +5,18 @@
 mod fleet;
 
 use fleet::{Fleet, NOW, robot};
-use muster_model::content::Content as _;
+use muster_model::content::{Checked, Content as _};
+use muster_model::embedding::Embedding;
+use muster_model::header::Revision;
 use muster_model::id::{FleetId, InstanceId, ServiceName};
 use muster_model::limits::MAX_WISH_ROBOTS;
 use muster_model::proposal::{
     MAX_OPEN_PROPOSALS, MAX_OPEN_PROPOSALS_OF_OPERATOR, PROPOSAL_LIFETIME, Proposal, ProposalState,
 };
 use muster_model::role::LeaseRenewal;
+use muster_model::roster::Roster;
 use muster_model::settings::PlannerSettings;
+use muster_model::teams::Teams;
 use muster_planner::{ANSWER_TIME, Planner};
 use muster_service::testkit::Bench;
 use muster_service::{GetId, IncomingGet, Input};
@@ -167,6 +171,57 @@ fn robots_that_are_left_out_are_in_no_team() {
     assert_eq!(division.live_teams.iter().map(|team| team.robots).collect::<Vec<_>>(), [5, 5]);
     assert_eq!(division.proposed, division.live);
     assert_eq!(division.replaces.len(), 0);
+}
+
+/// Nobody asks a planner what it has seen, so that no leader goes above a forged revision for it.
+#[test]
+fn a_forged_revision_is_followed_for_no_longer_than_its_publishers_contradict_it() {
+    let mut rig = Rig::new(Fleet::of_groups().with_teams(&json!(2)));
+    let live = rig.fleet.live();
+    let (mut roster, mut embedding, mut teams) = (None, None, None);
+    for message in rig.fleet.messages() {
+        match message {
+            Message::Roster(found) => roster = Some(found),
+            Message::Embedding(found) => embedding = Some(found),
+            Message::Teams { teams: found, .. } => teams = Some(found),
+            _ => {}
+        }
+    }
+    let all = (roster.unwrap(), embedding.unwrap(), teams.unwrap());
+    // All that is published of the fleet at one moment; a forged one names robots that do not exist.
+    let messages = |term: u64, epoch: u64, is_forged: bool| {
+        let (mut roster, mut embedding, mut teams) =
+            (Roster::clone(&all.0), Embedding::clone(&all.1), Teams::clone(&all.2));
+        for header in [&mut roster.header, &mut embedding.header, &mut teams.header] {
+            header.revision = Revision { term, epoch };
+        }
+        if is_forged {
+            roster.robots.clear();
+            // Every second robot is elsewhere.
+            let dimension = embedding.dimension as usize;
+            for (place, value) in embedding.values.iter_mut().enumerate() {
+                *value = if place / dimension % 2 == 0 { 1.0 } else { -1.0 };
+            }
+            teams.teams.pop();
+        }
+        [
+            Message::Embedding(Checked::new_unchecked(embedding)),
+            Message::Teams { teams: Checked::new_unchecked(teams), mirror: false },
+            Message::Roster(Checked::new_unchecked(roster)),
+        ]
+    };
+    messages(1_000_000, 1, true).into_iter().for_each(|message| rig.bench.receive(message));
+    for epoch in 10..22 {
+        messages(7, epoch, false).into_iter().for_each(|message| rig.bench.receive(message));
+        rig.bench.wait(0.5);
+    }
+    for fetch in rig.bench.take_fetches() {
+        rig.bench.answer_fetch(fetch, rig.fleet.messages());
+    }
+    let proposal = rig.ask("p1", json!({"teams": 2})).unwrap();
+    assert_eq!(self::teams(&proposal), fleet::teams(&live));
+    let based_on = proposal.division.unwrap().based_on;
+    assert_eq!(based_on.term, 7);
 }
 
 #[test]
