@@ -85,7 +85,7 @@ pub(crate) fn propose(job: &Job) -> Result<ProposedDivision, SettingsError> {
     let wanted = Vectors::of(&embedder, &clusterer);
     let embedded = of_live != wanted;
     let embedding = if embedded { embed(basis, wanted)? } else { basis.embedding.clone() };
-    let proposed = divided(basis, &clusterer, rules, embedding.clone())?;
+    let proposed = divided(basis, &clusterer, rules.as_ref(), &embedding)?;
 
     let live = restricted(&basis.teams, &embedding, &asked.without);
     let roster = &*basis.frame.roster;
@@ -230,27 +230,48 @@ fn embed(basis: &Basis, wanted: Vectors) -> Result<Checked<Embedding>, SettingsE
 }
 
 /// The division, as the clusterer would make it from the live one.
+///
+/// Another number of teams that the evidence is for counts there only after it has lasted. Until then the new settings and
+/// rules are obeyed with the number that there is, and the other one is made of what comes of that.
 fn divided(
     basis: &Basis,
     settings: &ClustererSettings,
-    rules: Option<TeamRules>,
-    embedding: Checked<Embedding>,
+    rules: Option<&TeamRules>,
+    embedding: &Checked<Embedding>,
 ) -> Result<Teams, SettingsError> {
-    let previous = Some(basis.teams.clone());
-    let number = situation(basis, &embedding).evidence(settings.teams, rules.as_ref());
-    let teams = number.best();
-    let rules =
-        rules.map(|rules| Arc::new(rules.resolved(previous.as_deref(), &basis.memory, &embedding)));
+    let basis = Basis { embedding: embedding.clone(), ..basis.clone() };
+    let evidence = situation(&basis, embedding).evidence(settings.teams, rules);
+    let range = evidence.demand.wanted.range();
+    let kept = evidence.last.filter(|teams| range.contains(teams) && *teams != evidence.best());
+    let Some(kept) = kept else { return divided_into(evidence.best(), &basis, settings, rules) };
+    let teams = Checked::new_unchecked(divided_into(kept, &basis, settings, rules)?);
+    let basis = Basis { teams, ..basis };
+    let best = situation(&basis, embedding).evidence(settings.teams, rules).best();
+    divided_into(best, &basis, settings, rules)
+}
+
+/// The division into a number of teams.
+fn divided_into(
+    teams: u32,
+    basis: &Basis,
+    settings: &ClustererSettings,
+    rules: Option<&TeamRules>,
+) -> Result<Teams, SettingsError> {
+    let embedding = &basis.embedding;
+    let demand = situation(basis, embedding).demand(settings.teams, rules);
+    let resolved = |rules: &TeamRules| {
+        Arc::new(rules.clone().resolved(Some(&basis.teams), &basis.memory, embedding))
+    };
     let job = division::Job {
-        embedding,
+        embedding: embedding.clone(),
         teams,
         requested: teams.max(*settings.teams.range().start()),
-        same_number: number.demand.current == Some(teams),
+        same_number: demand.current == Some(teams),
         // A proposal is what the fleet would be once it has settled.
         returning: None,
         settings: settings.clone(),
-        rules,
-        previous,
+        rules: rules.map(resolved),
+        previous: Some(basis.teams.clone()),
         memory: Arc::clone(&basis.memory),
     };
     divide(&job).map_err(|error| wrong("(proposal)", error))

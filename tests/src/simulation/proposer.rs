@@ -212,7 +212,9 @@ impl World {
             }
             Some(AtRest::Accepted { proposal, refused }) => {
                 self.log.line(self.now, format_args!("compared after {} ms", settled_for / MS));
-                if self.operator.refused == refused {
+                // The division of a fleet that all have left need not be published.
+                let has_robots = self.settled.as_ref().is_some_and(|(_, now)| now.has_robots());
+                if self.operator.refused == refused && has_robots {
                     self.compare(&proposal);
                 }
             }
