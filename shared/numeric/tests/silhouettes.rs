@@ -60,6 +60,21 @@ fn undefined_and_degenerate() {
 }
 
 #[test]
+fn vectors_that_are_equal_but_for_rounding_are_in_the_same_place() {
+    // Three robots in one place, of which more teams were asked for than there are groups, and two in another.
+    let rows = vec![0.7, 2e-16, 0.7, -1e-16, 0.7, 3e-16, -0.7, 0.0, -0.7, 1e-16];
+    let x = DenseMatrix::new(5, 2, rows).unwrap();
+    for found in [silhouette(&x, &[0, 0, 1, 2, 2]), silhouette_squared(&x, &[0, 0, 1, 2, 2])] {
+        assert_eq!(found.unwrap().per_point, [0.0, 0.0, 0.0, 1.0, 1.0]);
+    }
+    // What is a millionth of the whole apart is not.
+    let rows = vec![0.7, 2e-6, 0.7, -1e-6, 0.7, 3e-6, -0.7, 0.0, -0.7, 1e-6];
+    let x = DenseMatrix::new(5, 2, rows).unwrap();
+    let found = silhouette(&x, &[0, 0, 1, 2, 2]).unwrap().per_point;
+    assert!((found[0] + 2.0 / 3.0).abs() < 1e-6 && (found[1] - 0.25).abs() < 1e-6, "{found:?}");
+}
+
+#[test]
 fn methods_are_named() {
     let x = blobs(&[&[0.0, 0.0], &[1.0, 0.0]], 30, 1.0, 1);
     let labels: Vec<usize> = (0..60).map(|i| i / 30).collect();

@@ -14,6 +14,9 @@ use super::{Oracle, Verified, breach};
 /// their mean: of robots that are 1e-8 of the whole fleet's size apart, that rounds off the last digits of the distance.
 const TOLERANCE: f64 = 1e-7;
 
+/// Up to which share of the largest distance a distance is rounding.
+const SAME_PLACE: f64 = 1e-12;
+
 /// A robot with its team and its place.
 type Point<'a> = (&'a RobotId, &'a TeamId, Vec<f64>);
 
@@ -110,7 +113,8 @@ fn distance(left: &[f64], right: &[f64]) -> f64 {
 }
 
 /// (b − a) / max(a, b) of each point: a is the mean distance to the others of its team, b the least
-/// mean distance to another team. A robot alone in its team has 0. None with fewer than two teams.
+/// mean distance to another team. A robot alone in its team has 0, and so has one that differs from both by rounding alone. None
+/// with fewer than two teams.
 fn scores(points: &[Point<'_>]) -> Option<Vec<f64>> {
     let mut teams: Vec<_> = points.iter().map(|point| point.1).collect();
     teams.sort();
@@ -125,12 +129,14 @@ fn scores(points: &[Point<'_>]) -> Option<Vec<f64>> {
         let count = distances.len() as f64;
         (!distances.is_empty()).then(|| distances.iter().sum::<f64>() / count)
     };
+    let all = points.iter().flat_map(|one| points.iter().map(|other| distance(&one.2, &other.2)));
+    let rounding = SAME_PLACE * all.fold(0.0, f64::max);
     let score = |at: usize| {
         let Some(own) = mean_to(at, points[at].1) else { return 0.0 };
         let others = teams.iter().filter(|team| **team != points[at].1);
         let nearest = others.filter_map(|team| mean_to(at, team)).fold(f64::INFINITY, f64::min);
         let larger = own.max(nearest);
-        if larger > 0.0 { (nearest - own) / larger } else { 0.0 }
+        if larger > rounding { (nearest - own) / larger } else { 0.0 }
     };
     Some((0..points.len()).map(score).collect())
 }

@@ -93,9 +93,19 @@ pub(super) fn summary(per_point: Vec<f64>, groups: &Groups, method: Method) -> S
     }
 }
 
+/// Share of the extent of all points, the largest distance from their mean, up to which a distance is none: vectors that are
+/// equal but for rounding are in the same place, and what rounding says of the nearer cluster is noise. Rounding is some 1e-16
+/// of the extent in small fleets and 1e-14 in large ones.
+const ROUNDING_SHARE: f64 = 1e-12;
+
+/// The distance up to which points are in the same place, from the squared distances of all points to their mean.
+pub(super) fn same_place(squares: &[f64]) -> f64 {
+    ROUNDING_SHARE * squares.iter().copied().fold(0.0, f64::max).sqrt()
+}
+
 /// Silhouette of a point in a cluster of `size` members, from its mean distances a to the other
-/// members and b to the nearest other cluster.
-pub(super) fn value(size: usize, a: f64, b: f64) -> f64 {
+/// members and b to the nearest other cluster. 0 if neither is above `none`.
+pub(super) fn value(size: usize, a: f64, b: f64, none: f64) -> f64 {
     let larger = a.max(b);
-    if size > 1 && larger > 0.0 { (b - a) / larger } else { 0.0 }
+    if size > 1 && larger > none { (b - a) / larger } else { 0.0 }
 }

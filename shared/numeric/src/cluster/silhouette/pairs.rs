@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use pulp::{Simd, WithSimd};
 
-use super::groups::{Groups, Ordered, summary, value};
+use super::groups::{Groups, Ordered, same_place, summary, value};
 use super::types::{Method, Silhouette, SilhouetteError};
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::simd::dispatch;
@@ -37,7 +37,7 @@ const MAX_DIRECT_DIMS: usize = 6;
 /// members of its cluster and b the smallest mean distance to the members of another cluster.
 ///
 /// `x` is N × D, `labels` contains N arbitrary numbers. The only member of a cluster has the value
-/// 0, as has a point with a = b = 0. O(N² D) time, every distance once; O(N D + k) memory.
+/// 0, as has a point with a = b = 0, but for rounding. O(N² D) time, every distance once; O(N D + k) memory.
 ///
 /// # Errors
 /// [`SilhouetteError::Labels`], and [`SilhouetteError::Undefined`] for fewer than two clusters.
@@ -52,7 +52,7 @@ pub(super) fn all_pairs(x: &DenseMatrix, groups: &Groups) -> Vec<f64> {
     let centre = centre(x);
     let ordered = Ordered::new(x, &centre, groups);
     let (starts, sizes) = (&ordered.starts, &groups.sizes);
-    let mut scores = Scores::new(ordered.pack.places());
+    let mut scores = Scores::new(ordered.pack.places(), same_place(&ordered.squares));
     let mut rows = vec![0.0; sizes.iter().max().map_or(0, |n| n.next_multiple_of(GROUP_POINTS))];
     let mut columns = vec![0.0; TILE_POINTS * GROUP_POINTS];
     for a in 0..sizes.len() {
@@ -100,7 +100,7 @@ pub(super) fn some_points(x: &DenseMatrix, groups: &Groups, chosen: &[usize]) ->
     let squares = pack.squares();
     let places = 0..pack.places();
     let weights = vec![0.0; pack.places()];
-    let mut scores = Scores::new(chosen.len());
+    let mut scores = Scores::new(chosen.len(), same_place(&ordered.squares));
     let mut rows = vec![0.0; places.len()];
     let mut columns = vec![0.0; TILE_POINTS * GROUP_POINTS];
     for (c, &size) in groups.sizes.iter().enumerate() {
@@ -134,11 +134,13 @@ pub(super) fn some_points(x: &DenseMatrix, groups: &Groups, chosen: &[usize]) ->
 struct Scores {
     own: Vec<f64>,
     next: Vec<f64>,
+    /// The distance up to which points are in the same place.
+    none: f64,
 }
 
 impl Scores {
-    fn new(places: usize) -> Self {
-        Self { own: vec![0.0; places], next: vec![f64::INFINITY; places] }
+    fn new(places: usize, none: f64) -> Self {
+        Self { own: vec![0.0; places], next: vec![f64::INFINITY; places], none }
     }
 
     /// Adds the sum of distances of the point at `place` to a cluster of `size` points; in parts if
@@ -153,7 +155,8 @@ impl Scores {
 
     /// Silhouette of the point at `place`, in a cluster of `size` points.
     fn value(&self, place: usize, size: usize) -> f64 {
-        value(size, self.own[place] / (size.max(2) - 1) as f64, self.next[place])
+        let own = self.own[place] / (size.max(2) - 1) as f64;
+        value(size, own, self.next[place], self.none)
     }
 }
 

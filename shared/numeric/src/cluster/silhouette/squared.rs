@@ -2,7 +2,7 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::groups::{Groups, summary, value};
+use super::groups::{Groups, same_place, summary, value};
 use super::types::{Method, Silhouette, SilhouetteError};
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::simd::dispatch;
@@ -37,10 +37,11 @@ pub fn silhouette_squared(
         own: &mut own,
         next: &mut next,
     });
+    let none = same_place(&pack.squares()).powi(2);
     let values = groups.member.iter().zip(own.iter().zip(&next)).map(|(&c, (own, next))| {
         let size = groups.sizes[c as usize];
         // The mean includes the distance of the point to itself, which is zero.
-        value(size, own * (size as f64 / (size.max(2) - 1) as f64), *next)
+        value(size, own * (size as f64 / (size.max(2) - 1) as f64), *next, none)
     });
     Ok(summary(values.collect(), &groups, Method::SquaredExact))
 }
