@@ -142,6 +142,29 @@ fn the_newest_frame_follows_a_long_job() {
     assert_eq!(bench.counter("jobs_started"), 3);
 }
 
+/// Meanwhile the embedding of before is republished for later rosters, as its basis holds again.
+#[test]
+fn what_a_long_job_made_of_settings_that_were_undone_brings_no_older_roster() {
+    let (mut bench, mut ingest) = following();
+    let dimension = bench.last().dimension;
+    bench.hold_jobs = true;
+    bench.set(r#"{"dimension": 2}"#);
+    bench.set(r#"{"dimension": "auto"}"#);
+    for _ in 0..15 {
+        bench.frame(&mut ingest);
+    }
+    assert_eq!(bench.published.len(), 2);
+    bench.hold_jobs = false;
+    bench.run_job();
+    for _ in 0..30 {
+        bench.frame(&mut ingest);
+    }
+    assert_eq!(bench.last().dimension, dimension);
+    assert!(bench.published.len() > 4);
+    assert!(bench.published.is_sorted_by_key(|embedding| embedding.roster));
+    assert!(bench.published.iter().all(|embedding| embedding.dimension == dimension));
+}
+
 #[test]
 fn settings_recompute_the_frame_and_keep_the_similarity() {
     let (mut bench, _) = following();

@@ -34,8 +34,12 @@ impl Embedder {
         let frame = if basis.at_rest { self.newest_of(context, &basis, frame) } else { frame };
         let roster = &frame.roster;
         let last = self.embedding.as_ref().map(|last| last.roster);
-        if basis.at_rest && last > Some(roster.header.revision) {
-            // It was republished for a later frame meanwhile, and a newer one is to come.
+        if last > Some(roster.header.revision) {
+            // The last one was republished for a later frame meanwhile: other settings were undone, for example. The next
+            // job is for the newest frame; until then its vectors are not those that were published.
+            if !basis.at_rest {
+                self.vectors_since = None;
+            }
             return;
         }
         if basis.at_rest && self.is_published(context.settings(), &computed) {
