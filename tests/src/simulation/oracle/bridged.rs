@@ -73,7 +73,7 @@ struct Publishers {
     /// The one that counts, and when it was last there.
     current: Option<(String, Micros)>,
     replaced: BTreeSet<String>,
-    /// The highest number of each.
+    /// The highest number of each, of the messages that counted.
     newest: BTreeMap<String, i64>,
     odometry: BTreeMap<(String, i64), (String, Ground)>,
 }
@@ -118,9 +118,11 @@ impl Bridged {
         match &sample.said {
             Said::Odometry { frame, at } => {
                 let publishers = self.robots.entry(robot.clone()).or_default();
-                publishers.receive(now, &sample.gid);
-                let newest = publishers.newest.entry(sample.gid.clone()).or_default();
-                *newest = (*newest).max(sample.sequence);
+                // What came while another publisher counted was left out, and may come late in bad weather.
+                if publishers.receive(now, &sample.gid) {
+                    let newest = publishers.newest.entry(sample.gid.clone()).or_default();
+                    *newest = (*newest).max(sample.sequence);
+                }
                 let name = (sample.gid.clone(), sample.sequence);
                 publishers.odometry.insert(name, (frame.clone(), *at));
                 if publishers.odometry.len() > MAX_ODOMETRY {
@@ -324,15 +326,15 @@ impl Bridged {
 
 impl Publishers {
     /// There is a message of a publisher. The one that appeared last counts, and one that it replaced does only when it is
-    /// silent.
-    fn receive(&mut self, now: Micros, gid: &str) {
+    /// silent. Returns whether the message counts.
+    fn receive(&mut self, now: Micros, gid: &str) -> bool {
         match &mut self.current {
             Some((current, last)) if current == gid => *last = now,
             Some((current, last)) => {
                 if now.saturating_sub(*last) > SILENT_PUBLISHER {
                     self.replaced.clear();
                 } else if self.replaced.contains(gid) {
-                    return;
+                    return false;
                 } else {
                     self.replaced.insert(current.clone());
                 }
@@ -340,6 +342,7 @@ impl Publishers {
             }
             None => self.current = Some((gid.to_owned(), now)),
         }
+        true
     }
 }
 
