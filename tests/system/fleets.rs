@@ -172,6 +172,30 @@ async fn fleets_of_a_pattern_are_served_when_they_appear_and_not_more_than_may_b
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_fleet_of_a_pattern_without_robots_makes_room_and_comes_back_as_it_was() {
+    let limits = ["--max-fleets", "1", "--idle-after", "2", "--set", "clusterer.teams=2"];
+    let host = Host::start("site-*", &limits);
+    let scenario = groups("2", "8", "1");
+    let series_of = |fleet: &str| {
+        let of_fleet = format!("fleet=\"{fleet}\"");
+        get(&host.address, "/metrics").unwrap().1.lines().any(|line| line.contains(&of_fleet))
+    };
+    let mut before = None;
+    for fleet in ["site-1", "site-2", "site-1"] {
+        let mut robots = host.robots(fleet, &scenario);
+        let teams = divided(&host.client(fleet).await, &scenario).await;
+        assert!(series_of(fleet), "{fleet} has metrics");
+        if fleet == "site-1" {
+            assert_eq!(*before.get_or_insert_with(|| teams.clone()), teams, "the teams of before");
+        }
+        robots.kill().unwrap();
+        until("it is let go of", || host.ready()["fleets"] == 0);
+        until("its metrics are gone", || !series_of(fleet));
+    }
+    assert!(host.services.output().contains("fleet site-1 has had no robots for long"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_flooded_fleet_that_cannot_store_anything_does_not_delay_another() {
     let host = Host::start_with("alpha,beta", &SMALL_FLEETS, |state| {
         // Where the folder of the fleet is to be, there is a file.
@@ -319,6 +343,8 @@ fn what_does_not_fit_together_is_refused() {
         (&["up", "--fleets", "a,b", "--max-fleets", "1"], "--max-fleets is 1"),
         (&["--fleet", "a", "up", "--fleets", "b"], "not both"),
         (&["up", "--max-fleets", "3"], "--fleets"),
+        (&["up", "--fleets", "site-*", "--idle-after", "0"], "must be 2 to 604800"),
+        (&["up", "--idle-after", "60"], "--fleets"),
         (&["up", "--fleets", "a", "--record", "x"], "cannot be used with"),
         (
             &["--listen", "tcp/127.0.0.1:0", "up", "--fleets", "a", "--http", "none"],

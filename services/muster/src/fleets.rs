@@ -1,7 +1,7 @@
 //! `muster up --fleets`: the services of many fleets in one process, on one bus and on shared threads.
 //!
 //! Named fleets are served from the start, those of a pattern from when their robots appear until none has been there
-//! for an hour. A fleet whose services fail is started again; the others do not notice.
+//! for long. A fleet whose services fail is started again; the others do not notice.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -36,8 +36,13 @@ pub(crate) const DEFAULT_MAX_FLEETS: usize = 300;
 /// Most fleets that may be asked for: each holds about a mebibyte.
 pub(crate) const MOST_FLEETS: usize = 5000;
 
-/// How long a fleet of a pattern is served without robots: longer than a lunch break, shorter than a night.
-const IDLE_AFTER: Duration = Duration::from_secs(3600);
+/// For how many seconds a fleet of a pattern is served without robots where no time is given: longer than a lunch break,
+/// shorter than a night.
+pub(crate) const DEFAULT_IDLE_AFTER_S: u64 = 3600;
+
+/// For how long it may be asked for: at least as long as a robot takes to start again, at most a week, after which nobody awaits
+/// it any more.
+pub(crate) const IDLE_AFTER_S: std::ops::RangeInclusive<u64> = 2..=604_800;
 
 /// How often is looked which fleets are idle, and which are to be started again.
 const LOOK_INTERVAL: Duration = Duration::from_secs(1);
@@ -58,6 +63,15 @@ const MAX_REFUSED: usize = 10_000;
 /// When a process that waits for its router counts as started.
 const READY_AFTER: Duration = Duration::from_secs(1);
 
+/// How many fleets are served, and for how long.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Limits {
+    /// How many at most.
+    pub(crate) max_fleets: usize,
+    /// How long one of a pattern is served without robots.
+    pub(crate) idle_after: Duration,
+}
+
 /// One fleet that is served.
 struct Served {
     /// Ends its services; none between their end and their next start.
@@ -74,7 +88,7 @@ struct Served {
 /// All fleets of this process.
 struct Fleets {
     patterns: Vec<FleetPattern>,
-    max_fleets: usize,
+    limits: Limits,
     services: Vec<ServiceName>,
     config: ProcessConfig,
     shared: Shared,
@@ -89,7 +103,8 @@ struct Fleets {
 ///
 /// # Errors
 /// If more fleets are named than are served.
-pub(crate) fn check(patterns: &[FleetPattern], max_fleets: usize) -> anyhow::Result<()> {
+pub(crate) fn check(patterns: &[FleetPattern], limits: Limits) -> anyhow::Result<()> {
+    let Limits { max_fleets, .. } = limits;
     let named = patterns.iter().filter(|pattern| pattern.single().is_some()).count();
     if named > max_fleets {
         let problem = format!("--fleets: {named} are named and --max-fleets is {max_fleets}");
@@ -104,7 +119,7 @@ pub(crate) fn check(patterns: &[FleetPattern], max_fleets: usize) -> anyhow::Res
 /// If the bus does not open.
 pub(crate) async fn run(
     patterns: &[FleetPattern],
-    max_fleets: usize,
+    limits: Limits,
     services: &[ServiceName],
     config: ProcessConfig,
     observatory: FleetsObservatory,
@@ -121,7 +136,7 @@ pub(crate) async fn run(
     let shared = Shared { bus: bus.clone(), pool: Pool::start()? };
     let mut fleets = Fleets {
         patterns: patterns.to_vec(),
-        max_fleets,
+        limits,
         services,
         config,
         shared,
@@ -171,7 +186,7 @@ impl Fleets {
         if !is_meant || self.served.contains_key(fleet) {
             return;
         }
-        if self.served.len() < self.max_fleets {
+        if self.served.len() < self.limits.max_fleets {
             self.refused.remove(fleet);
             self.observatory.refused(self.refused.len());
             return self.start(fleet);
@@ -184,7 +199,7 @@ impl Fleets {
         if is_new {
             tracing::warn!(
                 "fleet {fleet} is not served: {} are, and not more may be; see --max-fleets",
-                self.max_fleets
+                self.limits.max_fleets
             );
         }
         self.observatory.refused(self.refused.len());
@@ -260,7 +275,7 @@ impl Fleets {
             self.observatory.dropped(fleet, self.shared.bus.dropped(fleet));
             if served.may_idle
                 && !served.leaves
-                && self.shared.bus.without_robots_for(fleet) >= IDLE_AFTER
+                && self.shared.bus.without_robots_for(fleet) >= self.limits.idle_after
                 && let Some(stopper) = &served.stopper
             {
                 served.leaves = true;
@@ -344,6 +359,10 @@ mod tests {
         ProcessConfig::resolve(&args, mode, &|_| None).unwrap()
     }
 
+    fn limits(max_fleets: usize) -> Limits {
+        Limits { max_fleets, idle_after: Duration::from_secs(DEFAULT_IDLE_AFTER_S) }
+    }
+
     /// A router, and fleets on it.
     async fn fleets(patterns: &[&str], max_fleets: usize) -> (Bus, Fleets) {
         let listen = Some(vec!["tcp/127.0.0.1:0".to_owned()]);
@@ -357,7 +376,7 @@ mod tests {
         let observatory = FleetsObservatory::open(&config).unwrap();
         let fleets = Fleets {
             patterns,
-            max_fleets,
+            limits: limits(max_fleets),
             services: DEFAULT_SERVICES.to_vec(),
             config,
             shared: Shared { bus, pool: Pool::start().unwrap() },
@@ -403,8 +422,8 @@ mod tests {
     fn more_named_fleets_than_are_served_are_refused() {
         let patterns: Vec<FleetPattern> =
             ["a", "b", "site-*"].map(|text| text.parse().unwrap()).to_vec();
-        assert!(check(&patterns, 2).is_ok());
-        let error = check(&patterns, 1).unwrap_err().to_string();
+        assert!(check(&patterns, limits(2)).is_ok());
+        let error = check(&patterns, limits(1)).unwrap_err().to_string();
         assert!(error.contains("--max-fleets is 1"), "{error}");
     }
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
@@ -23,7 +24,7 @@ use muster_wire::FleetPattern;
 use tokio::task::JoinSet;
 
 use crate::companions::{Companion, Companions};
-use crate::fleets;
+use crate::fleets::{self, Limits};
 use crate::operator::OperatorArgs;
 
 /// Arguments of `muster up`.
@@ -67,11 +68,21 @@ pub(crate) struct UpArgs {
     #[arg(long, value_name = "COUNT", default_value_t = fleets::DEFAULT_MAX_FLEETS, requires = "fleets",
           value_parser = at_most_fleets)]
     max_fleets: usize,
+    /// Let go of a fleet of a pattern after so many seconds without robots
+    #[arg(long, value_name = "SECONDS", default_value_t = fleets::DEFAULT_IDLE_AFTER_S, requires = "fleets",
+          value_parser = idle_seconds)]
+    idle_after: u64,
 }
 
 fn at_most_fleets(text: &str) -> Result<usize, String> {
     let count = text.parse().ok().filter(|count| (1..=fleets::MOST_FLEETS).contains(count));
     count.ok_or_else(|| format!("must be 1 to {}", fleets::MOST_FLEETS))
+}
+
+fn idle_seconds(text: &str) -> Result<u64, String> {
+    let seconds = text.parse().ok().filter(|seconds| fleets::IDLE_AFTER_S.contains(seconds));
+    let (least, most) = (fleets::IDLE_AFTER_S.start(), fleets::IDLE_AFTER_S.end());
+    seconds.ok_or_else(|| format!("must be {least} to {most}"))
 }
 
 impl UpArgs {
@@ -199,14 +210,16 @@ pub(crate) async fn run_fleets(
     mut config: ProcessConfig,
     stop: Stop,
 ) -> anyhow::Result<()> {
-    fleets::check(&args.fleets, args.max_fleets)?;
+    let limits =
+        Limits { max_fleets: args.max_fleets, idle_after: Duration::from_secs(args.idle_after) };
+    fleets::check(&args.fleets, limits)?;
     if config.fleet.origin == Origin::Flag {
         let problem = "--fleet: name one fleet with it, or several with --fleets, and not both";
         return Err(ExitError::usage(problem).into());
     }
     let observatory = FleetsObservatory::open(&config)?;
     let router = start_router(args, &mut config).await?;
-    fleets::run(&args.fleets, args.max_fleets, &args.services, config, observatory, stop).await?;
+    fleets::run(&args.fleets, limits, &args.services, config, observatory, stop).await?;
     if let Some(router) = router {
         router.close().await;
     }
