@@ -200,7 +200,7 @@ fn a_forged_revision_is_followed_for_no_longer_than_its_publishers_contradict_it
             // Every second robot is elsewhere.
             let dimension = embedding.dimension as usize;
             for (place, value) in embedding.values.iter_mut().enumerate() {
-                *value = if place / dimension % 2 == 0 { 1.0 } else { -1.0 };
+                *value = if (place / dimension).is_multiple_of(2) { 1.0 } else { -1.0 };
             }
             teams.teams.pop();
         }
