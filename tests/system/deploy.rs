@@ -26,8 +26,8 @@ const MIN_LIMIT_FACTOR: u64 = 4;
 /// How long a container may take to be alive, and to be so again.
 const ALIVE_WITHIN: Duration = Duration::from_secs(20);
 
-/// How much longer a health check may take here than its container allows: a program that starts beside all other tests
-/// waits for a processor.
+/// How much longer a health check may take here than its container allows: a program that starts while all other tests
+/// run waits for a processor.
 const BUSY_FACTOR: u32 = 4;
 
 fn deploy() -> PathBuf {

@@ -178,9 +178,14 @@ impl Clusterer {
         let wished = wished.unwrap_or_default();
         // Limits and wishes count at once, so that no robot is kept where there are any.
         let keeps_robots = rules.is_none() && self.keeps_robots(now);
-        let rules_asked = rules.clone();
-        let source = newest.clone();
-        let task = Task { source, settings, rules: rules_asked, wished, teams, keeps_robots };
+        let task = Task {
+            source: newest.clone(),
+            settings,
+            rules: rules.clone(),
+            wished,
+            teams,
+            keeps_robots,
+        };
         if !self.flight.should_start(now, &task) {
             if self.flight.failure().is_none()
                 && let Some(published) = &mut self.published
@@ -217,7 +222,7 @@ impl Clusterer {
     }
 
     /// Whether robots stay in their last team because a team has just returned: until no more robots of it are awaited, and,
-    /// where another number of teams is about to count by then, until it does. So they are divided anew once, not twice.
+    /// where another number of teams is about to count by then, until it does. So they are divided again once, not twice.
     fn keeps_robots(&self, now: Tick) -> bool {
         let kept = self.flight.completed().is_some_and(|last| last.keeps_robots);
         self.arrivals.is_team_returning(now) || kept && self.count.due().is_some()

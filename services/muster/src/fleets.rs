@@ -40,8 +40,8 @@ pub(crate) const MOST_FLEETS: usize = 5000;
 /// shorter than a night.
 pub(crate) const DEFAULT_IDLE_AFTER_S: u64 = 3600;
 
-/// For how long it may be asked for: at least as long as a robot takes to start again, at most a week, after which nobody awaits
-/// it any more.
+/// For how long it may be asked for: at least as long as a robot takes to start again, at most a week, after which no one waits
+/// for it any more.
 pub(crate) const IDLE_AFTER_S: std::ops::RangeInclusive<u64> = 2..=604_800;
 
 /// How often is looked which fleets are idle, and which are to be started again.
