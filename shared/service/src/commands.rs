@@ -12,7 +12,7 @@ use muster_wire::Request;
 use serde_json::{Map, Value};
 
 use crate::io::GetId;
-use crate::replica::missed_changes::confirmed_patch;
+use crate::replica::missed_changes::{CommandTime, confirmed_patch};
 
 /// Names a command.
 pub(crate) type CommandName = (OperatorId, CommandId);
@@ -143,10 +143,18 @@ impl Commands {
         }
     }
 
-    /// Leaves out of the patch of a command what commands that were given later have changed. Two instances that lead at the same
-    /// time carry out the same commands, and the terms of their outcomes do not tell which command came later.
-    pub(crate) fn drop_changed_later(&self, patch: &mut Map<String, Value>, expires: f64) {
-        let later = self.outcomes.values().filter(|outcome| outcome.expires > expires);
+    /// Leaves out of the patch of a command what commands that came later have changed. With `term`, only those count that were
+    /// carried out in it.
+    pub(crate) fn drop_changed_later(
+        &self,
+        patch: &mut Map<String, Value>,
+        time: CommandTime,
+        term: Option<u64>,
+    ) {
+        let counts = |outcome: &&Arc<CommandOutcome>| {
+            term.is_none_or(|term| outcome.header.revision.term == term) && time.is_before(outcome)
+        };
+        let later = self.outcomes.values().filter(counts);
         for changed in later.filter_map(|outcome| confirmed_patch(outcome)) {
             patch.retain(|field, _| !changed.contains_key(field));
         }

@@ -460,6 +460,29 @@ fn settings_of_a_leader_of_a_lower_term_do_not_replace_those_of_the_term_on_the_
     assert_eq!((back.host.replica_state(), back.teams()), (ReplicaState::Leading, 7));
 }
 
+/// Until it is replaced, a leader of a lower term confirms changes as any other.
+#[test]
+fn a_change_that_a_leader_of_a_lower_term_confirms_holds_after_it_is_replaced() {
+    let mut old = Driven::<ONE_LEADS>::leading();
+    set(&mut old, "kim/c1", &json!({"teams": 7})).unwrap();
+    let (stored, lower) = (Stored { term: 9, ..old.stored.clone() }, 8);
+    let answers = vec![renewal("a", lower, 5), settings(lower, 5, 5)];
+    let mut back = Driven::<ONE_LEADS>::restarted(stored, answers);
+    back.receive(token("a", true));
+    let mut other = Driven::<ONE_LEADS>::leading();
+    other.wait(1.0);
+    set(&mut other, "kim/c2", &json!({"teams": 4})).unwrap();
+    let mut confirmed = CommandOutcome::clone(&outcomes(&other)[0]);
+    confirmed.header.revision = Revision { term: lower, epoch: 5 };
+    back.receive(Message::Outcome(Arc::new(confirmed)));
+    for epoch in 6..9 {
+        back.receive(renewal("a", lower, epoch));
+        back.wait(0.5);
+        back.answer_all(vec![settings(lower, epoch, 4)]);
+    }
+    assert_eq!((back.host.replica_state(), back.teams()), (ReplicaState::Leading, 4));
+}
+
 /// What is said again is taken for what its sender has answered.
 #[test]
 fn a_leader_that_is_back_says_nothing_that_another_leader_of_its_term_has_answered() {

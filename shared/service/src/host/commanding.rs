@@ -17,7 +17,7 @@ use crate::commands::{Admission, CommandName, Pending};
 use crate::core::{Context, Core};
 use crate::facilities::{Facilities, ReplyKind};
 use crate::gets::{Get, encode_answer};
-use crate::replica::missed_changes::{MAX_MISSED, confirmed_patch};
+use crate::replica::missed_changes::{CommandTime, MAX_MISSED, confirmed_patch};
 use crate::replica::settings::problem_json;
 use crate::wiring::Replication;
 
@@ -92,7 +92,8 @@ impl<C: Core> Host<C> {
         // What was refused has changed nothing, and any number of such may come: it is not worth a write.
         if facilities.operator_commands.remember(Arc::clone(&outcome)) && outcome.refused.is_none()
         {
-            facilities.replica.settings.note_outcome(&outcome);
+            let followed = facilities.replica.election.followed().map(|revision| revision.term);
+            facilities.replica.settings.note_outcome(&outcome, followed);
             facilities.store();
         }
     }
@@ -108,11 +109,12 @@ impl<C: Core> Host<C> {
         let facilities = &mut self.facilities;
         let term = facilities.replica.revision().term;
         let Some(mut patch) = facilities.replica.settings.missed_by(&outcome, term) else { return };
-        let (expires, is_of_before) = (outcome.expires, outcome.header.revision.term < term);
+        let time = CommandTime::of(&outcome);
+        let is_of_before = outcome.header.revision.term < term;
         if !facilities.operator_commands.remember(outcome) {
             return;
         }
-        facilities.operator_commands.drop_changed_later(&mut patch, expires);
+        facilities.operator_commands.drop_changed_later(&mut patch, time, None);
         // Of two leaders of one term neither was before the other.
         let own = facilities.operator_commands.own_outcomes(term).filter(|_| is_of_before);
         for changed in own.filter_map(|outcome| confirmed_patch(outcome)) {

@@ -206,6 +206,8 @@ impl<C: Core> Host<C> {
                 Message::LeaseRenewal(_) => {}
                 // A suspect answers as well, with what it could not announce.
                 Message::Settings(announced) if announced.service == C::SERVICE => {
+                    let now = self.facilities.now;
+                    self.facilities.replica.note_stored_by_other(now, &announced);
                     let revision = announced.header.revision;
                     if !self.facilities.replica.settings.were_adopted_with(revision) {
                         self.adopt(&announced);
@@ -233,7 +235,8 @@ impl<C: Core> Host<C> {
             self.facilities.notice_state_loss(seen);
         }
         for mut missed in self.facilities.replica.settings.take_missed() {
-            self.facilities.operator_commands.drop_changed_later(&mut missed.patch, missed.expires);
+            let (time, term) = (missed.time, missed.confirmed_lately_in());
+            self.facilities.operator_commands.drop_changed_later(&mut missed.patch, time, term);
             if !missed.patch.is_empty() {
                 self.change_confirmed(missed.patch);
             }

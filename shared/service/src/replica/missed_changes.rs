@@ -7,7 +7,8 @@
 use std::collections::VecDeque;
 
 use muster_model::command::{Action, CommandOutcome};
-use muster_model::header::Revision;
+use muster_model::header::{Header, Revision};
+use muster_model::time::Tick;
 use serde_json::{Map, Value};
 
 /// Most changes that are kept, and that an instance repeats of its own term: a person gives a command in some seconds, and
@@ -25,14 +26,53 @@ pub(crate) fn confirmed_patch(outcome: &CommandOutcome) -> Option<Map<String, Va
     }
 }
 
+/// What tells which of two commands came later.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CommandTime {
+    /// The term in which it was carried out.
+    term: u64,
+    /// When, by the clock of that leader.
+    confirmed: Tick,
+    /// Until when it is remembered, by the clock of the operator.
+    expires: f64,
+}
+
+impl CommandTime {
+    pub(crate) fn of(outcome: &CommandOutcome) -> Self {
+        let Header { revision, stages, .. } = &outcome.header;
+        let confirmed = stages.last().map(|stage| stage.published).unwrap_or_default();
+        Self { term: revision.term, confirmed, expires: outcome.expires }
+    }
+
+    /// One leader carries commands out one after the other. Two that lead at the same time carry out the same ones, and neither
+    /// their terms nor their clocks tell which was given later.
+    pub(crate) fn is_before(&self, other: &CommandOutcome) -> bool {
+        let other = Self::of(other);
+        if self.term == other.term {
+            self.confirmed < other.confirmed
+        } else {
+            self.expires < other.expires
+        }
+    }
+}
+
 /// A change that a leader has confirmed.
 #[derive(Debug)]
 pub(crate) struct MissedChange {
     /// The revision of the settings in which it is in force.
     revision: Revision,
-    /// Until when the command is remembered, which tells which of two commands was given later.
-    pub(crate) expires: f64,
+    /// Whether the leader that was followed has confirmed it: it counts even if that has a lower term than the settings.
+    is_of_followed: bool,
+    pub(crate) time: CommandTime,
     pub(crate) patch: Map<String, Value>,
+}
+
+impl MissedChange {
+    /// The term of the leader that has confirmed it while it was followed: it is later than all changes of other terms,
+    /// whatever the clocks of other instances say.
+    pub(crate) fn confirmed_lately_in(&self) -> Option<u64> {
+        self.is_of_followed.then_some(self.revision.term)
+    }
 }
 
 /// What a standby has received of the outcomes of its leader since the last settings of it.
@@ -41,13 +81,13 @@ pub(crate) struct MissedChanges(VecDeque<MissedChange>);
 
 impl MissedChanges {
     /// An outcome was received, whose change is in force in the settings of that revision.
-    pub(crate) fn note(&mut self, outcome: &CommandOutcome) {
+    pub(crate) fn note(&mut self, outcome: &CommandOutcome, is_of_followed: bool) {
         if let Some(patch) = confirmed_patch(outcome) {
             if self.0.len() >= MAX_MISSED {
                 self.0.pop_front();
             }
-            let (revision, expires) = (outcome.header.revision, outcome.expires);
-            self.0.push_back(MissedChange { revision, expires, patch });
+            let (revision, time) = (outcome.header.revision, CommandTime::of(outcome));
+            self.0.push_back(MissedChange { revision, is_of_followed, time, patch });
         }
     }
 
@@ -65,6 +105,7 @@ impl MissedChanges {
         let mut all = std::mem::take(&mut self.0);
         // Several instances may have said them, each in its own order.
         all.make_contiguous().sort_by_key(|missed| missed.revision);
-        all.into_iter().filter(|missed| missed.revision >= revision).collect()
+        let counts = |missed: &MissedChange| missed.is_of_followed || missed.revision >= revision;
+        all.into_iter().filter(counts).collect()
     }
 }

@@ -42,6 +42,8 @@ pub(crate) struct Replica<S> {
     /// The newest output of the service that any reader had when this instance asked. Those who ask again may be answered
     /// by fewer: a reader that has restarted since remembers nothing.
     seen_by_readers: Option<Revision>,
+    /// The highest term that an instance which does not lead has said to have on its disk.
+    stored_by_others: u64,
     /// Why this instance has begun without the state that it kept before; taken once it is reported.
     pub(crate) state_loss: Option<String>,
     revision: Revision,
@@ -76,6 +78,7 @@ impl<S: Settings> Replica<S> {
             started: start.now,
             stored_term,
             seen_by_readers: None,
+            stored_by_others: 0,
             state_loss: damage,
             revision,
             event_epoch: 0,
@@ -107,6 +110,15 @@ impl<S: Settings> Replica<S> {
         self.seen_by_readers
     }
 
+    /// An instance without a term has answered with its settings, and says which term it has stored: nobody else may have received
+    /// it of a leader that was lost at once.
+    pub(crate) fn note_stored_by_other(&mut self, now: Tick, announced: &AnnouncedSettings) {
+        let Revision { term, epoch: stored } = announced.header.revision;
+        if term == 0 && self.believes(now, stored) {
+            self.stored_by_others = self.stored_by_others.max(stored);
+        }
+    }
+
     /// Whether a term is believed: one above the bound was forged, or its sender's clock is far off.
     pub(crate) fn believes(&self, now: Tick, term: u64) -> bool {
         term <= highest_term(now)
@@ -118,7 +130,8 @@ impl<S: Settings> Replica<S> {
     /// one with a later state then notices that it knows less, and takes over.
     pub(crate) fn begin_term(&mut self, now: Tick, seen: Option<Revision>) {
         let believed = seen.map(|revision| revision.term).filter(|term| self.believes(now, *term));
-        let known = believed.unwrap_or(0).max(self.stored_term).max(self.election.highest_term());
+        let of_others = self.stored_by_others.max(self.election.highest_term());
+        let known = believed.unwrap_or(0).max(self.stored_term).max(of_others);
         let term = known.saturating_add(1);
         let term = if self.stored_term == 0 { term.max(clock_term(now)) } else { term };
         if self.election.highest_term() > 0 {
@@ -150,10 +163,11 @@ impl<S: Settings> Replica<S> {
     }
 
     /// The settings in force. Those of an instance without a term, or of one that leads without state,
-    /// have the first of all revisions, so that no other instance takes them over.
+    /// have no term, so that no other instance takes them over. Their epoch is the term that is stored here.
     pub(crate) fn settings_message(&self, now: Tick) -> Message {
         let counts = self.election.has_term() && self.settings.are_known();
-        let revision = if counts { self.revision } else { Revision::default() };
+        let without_term = Revision { term: 0, epoch: self.stored_term };
+        let revision = if counts { self.revision } else { without_term };
         Message::Settings(Box::new(AnnouncedSettings {
             header: self.own_header(now, revision),
             service: self.service,

@@ -163,11 +163,14 @@ impl<S: Settings> ReplicaSettings<S> {
         self.basis = self.adopted;
     }
 
-    /// A standby has received the outcome of a command.
-    pub(crate) fn note_outcome(&mut self, outcome: &CommandOutcome) {
+    /// A standby has received the outcome of a command. `followed` is the term of its leader. If that is lower than the term of
+    /// the settings on the disk, the leader is replaced in a moment; what it confirms until then is newer all the same.
+    pub(crate) fn note_outcome(&mut self, outcome: &CommandOutcome, followed: Option<u64>) {
         let revision = outcome.header.revision;
-        if revision >= self.known_since() && revision > self.stored_with {
-            self.missed.note(outcome);
+        let is_of_followed = followed == Some(revision.term);
+        let is_new = revision >= self.known_since() && revision > self.stored_with;
+        if is_new || is_of_followed && revision.term < self.known_since().term {
+            self.missed.note(outcome, is_of_followed);
         }
     }
 
