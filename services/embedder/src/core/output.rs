@@ -34,7 +34,9 @@ impl Embedder {
         let frame = if basis.at_rest { self.newest_of(context, &basis, frame) } else { frame };
         let roster = &frame.roster;
         let last = self.embedding.as_ref().map(|last| last.roster);
-        if last > Some(roster.header.revision) {
+        let newest = self.follow.frame().map(|newest| newest.roster.header.revision);
+        // A roster above the newest frame is no longer followed: it was forged, or its sender has begun without its state.
+        if last > Some(roster.header.revision) && last <= newest {
             // The last one was republished for a later frame meanwhile: other settings were undone, for example. The next
             // job is for the newest frame; until then its vectors are not those that were published.
             if !basis.at_rest {
@@ -134,7 +136,7 @@ impl Embedder {
     ) {
         let (Some((of, at)), Some(embedding)) = (&self.published, &self.embedding) else { return };
         let roster = &frame.roster.header;
-        if !of.is_of(basis) || roster.revision <= embedding.roster {
+        if !of.is_of(basis) || roster.revision == embedding.roster {
             return;
         }
         let due = at.after(HEARTBEAT);
