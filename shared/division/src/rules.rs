@@ -13,7 +13,7 @@ use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, SkillId, TeamId};
 use muster_model::limits::MAX_CONFLICT_LENGTH;
 use muster_model::settings::{ClustererSettings, TeamSize};
-use muster_model::teams::Teams;
+use muster_model::teams::{Limited, Teams};
 use muster_model::wish::{StandingWish, Wish, WishKind, WishState};
 use muster_numeric::assignment::{
     self as numeric, Assigner, Bounds, Column, CostMatrix, Pair, Relation, Rule, Rules, RulesError,
@@ -138,8 +138,12 @@ impl TeamRules {
         let robots = embedding.robots.iter().zip(&embedding.without_embedding);
         let robots = robots.filter(|(_, without)| !**without).map(|(robot, _)| robot);
         let last = last_teams(previous, memory, embedding);
+        // Whoever has no team while nothing satisfies the rules is in no locked team any more, whatever is remembered.
+        let stands = previous.limited.as_ref().is_some_and(Limited::stands);
+        let is_left_out = |robot: &RobotId| stands && previous.unassigned.contains(robot);
         let is_locked = |(robot, team): (&RobotId, Option<&TeamId>)| {
-            Some((robot.clone(), team.filter(|team| locks.contains(*team))?.clone()))
+            let team = team.filter(|team| locks.contains(*team) && !is_left_out(robot))?;
+            Some((robot.clone(), team.clone()))
         };
         self.locked = robots.zip(last).filter_map(is_locked).collect();
         self
