@@ -274,9 +274,13 @@ impl Clusterer {
         let selects = |key: &Key| request.selects(space, key);
         let mut messages = Vec::new();
         // One that starts receives its own answer, and must not seem to know more than that.
-        let is_standby = context.replica_state() == ReplicaState::Standby;
-        let received = self.keeping.received_division().filter(|_| is_standby);
-        if let Some(teams) = self.division.as_ref().or(received) {
+        let teams = match context.replica_state() {
+            ReplicaState::Standby => self.division.as_ref().or(self.keeping.received_division()),
+            // What it has made since may never be published.
+            ReplicaState::Suspect => self.received_by_others.as_ref(),
+            _ => self.division.as_ref(),
+        };
+        if let Some(teams) = teams {
             messages.extend(answer_teams(space, request, teams)?);
         }
         if selects(&Key::Embedding) {

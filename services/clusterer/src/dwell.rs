@@ -26,19 +26,21 @@ pub(crate) struct CountDwell {
 
 impl CountDwell {
     /// How many teams the next division has. `shown` is the number by the newest embedding, none if it has no
-    /// evidence, `current` is the number of the last division, none if there is none to go on from.
+    /// evidence, `current` is the number of the last division, none if there is none to go on from. What operators have
+    /// asked for since counts at once.
     pub(crate) fn decide(
         &mut self,
         now: Tick,
         wanted: TeamCount,
         shown: Option<u32>,
         current: Option<u32>,
+        is_asked_for: bool,
     ) -> u32 {
         self.due = None;
         let range = wanted.range();
         let current = current.filter(|teams| range.contains(teams));
         let best = best_number(wanted, shown, current);
-        let Some(current) = current.filter(|current| *current != best) else {
+        let Some(current) = current.filter(|current| *current != best && !is_asked_for) else {
             self.candidate = None;
             return best;
         };
@@ -274,7 +276,7 @@ mod tests {
         let mut dwell = CountDwell::default();
         let (two, three) = (Some(2), Some(3));
         let mut next = |ms, wanted, shown, current| {
-            (dwell.decide(at(ms), wanted, shown, current), dwell.due())
+            (dwell.decide(at(ms), wanted, shown, current, false), dwell.due())
         };
         let auto = TeamCount::Auto;
         assert_eq!(next(0, auto, two, None), (2, None), "the first at once");
@@ -290,5 +292,9 @@ mod tests {
         assert_eq!(next(900, TeamCount::Between { from: 2, to: 2 }, three, Some(3)), (2, None));
         assert_eq!(next(900, TeamCount::Between { from: 4, to: 6 }, three, Some(3)), (4, None));
         assert_eq!(next(900, auto, Some(u32::MAX), None), (16, None), "within the range");
+        // So is what follows from them.
+        assert_eq!(next(1000, auto, three, Some(2)), (2, Some(at(1400))));
+        assert_eq!(dwell.decide(at(1001), auto, three, two, true), 3);
+        assert_eq!(dwell.due(), None);
     }
 }

@@ -8,7 +8,7 @@ use muster_division::identity::moved;
 use muster_division::memory::Memory;
 use muster_division::needs::Needs;
 use muster_division::number::{Asking, Situation};
-use muster_division::rules::{Asked, TeamRules};
+use muster_division::rules::{Asked, TeamRules, asks_alike};
 use muster_division::scores::{positions, silhouettes_of};
 use muster_division::seats::Arrivals;
 use muster_method::Graph;
@@ -85,7 +85,13 @@ pub(crate) fn propose(job: &Job) -> Result<ProposedDivision, SettingsError> {
     let wanted = Vectors::of(&embedder, &clusterer);
     let embedded = of_live != wanted;
     let embedding = if embedded { embed(basis, wanted)? } else { basis.embedding.clone() };
-    let proposed = divided(basis, &clusterer, rules.as_ref(), &embedding)?;
+    let is_asked_already = !embedded && asks_as_live(basis, &clusterer, rules.as_ref());
+    let proposed = if is_asked_already && has_same_robots(&basis.teams, &embedding) {
+        // The clusterer divides nothing again for it.
+        Teams::clone(&basis.teams)
+    } else {
+        divided(basis, &clusterer, rules.as_ref(), &embedding)?
+    };
 
     let live = restricted(&basis.teams, &embedding, &asked.without);
     let roster = &*basis.frame.roster;
@@ -131,6 +137,31 @@ fn rules(job: &Job, settings: &ClustererSettings) -> Option<TeamRules> {
     TeamRules::of(settings, wishes, needs)
 }
 
+/// What divisions have to respect now.
+fn live_rules(basis: &Basis) -> Option<TeamRules> {
+    let needs = Needs::of(&basis.clusterer, Some(&basis.frame.roster), Some(&basis.teams));
+    TeamRules::of(&basis.clusterer, Asked::of(basis.wishes.iter()), needs)
+}
+
+/// Whether the live division is asked for the same already.
+fn asks_as_live(basis: &Basis, settings: &ClustererSettings, rules: Option<&TeamRules>) -> bool {
+    let live = &basis.clusterer;
+    let of_live = ClustererSettings {
+        dwell_s: live.dwell_s,
+        heartbeat_s: live.heartbeat_s,
+        ..settings.clone()
+    };
+    of_live == *live && asks_alike(live_rules(basis).as_ref(), rules)
+}
+
+/// Whether a division is of all robots of an embedding, and of no others.
+fn has_same_robots(teams: &Teams, embedding: &Embedding) -> bool {
+    let mut robots: Vec<&RobotId> = teams.assignments().map(|(robot, _)| robot).collect();
+    robots.extend(&teams.unassigned);
+    robots.sort_unstable();
+    robots.into_iter().eq(&embedding.robots)
+}
+
 fn situation<'a>(basis: &'a Basis, embedding: &'a Embedding) -> Situation<'a> {
     Situation {
         now: basis.now,
@@ -163,10 +194,8 @@ fn refuse_conflict(
         return Ok(());
     };
     let Some(rules) = rules else { return Ok(()) };
-    let live = &basis.clusterer;
-    let needs = Needs::of(live, Some(&basis.frame.roster), Some(&basis.teams));
-    let last = TeamRules::of(live, Asked::of(basis.wishes.iter()), needs);
-    let last = last.as_ref().map(|rules| Asking { teams: live.teams, rules });
+    let last = live_rules(basis);
+    let last = last.as_ref().map(|rules| Asking { teams: basis.clusterer.teams, rules });
     let situation = situation(basis, &basis.embedding);
     match situation.new_conflict(Asking { teams: settings.teams, rules }, last) {
         Some(conflict) => Err(wrong(field, format!("{conflict}; {REMEDY}"))),
@@ -229,36 +258,15 @@ fn embed(basis: &Basis, wanted: Vectors) -> Result<Checked<Embedding>, SettingsE
     }))
 }
 
-/// The division, as the clusterer would make it from the live one.
-///
-/// Another number of teams that the evidence is for counts there only after it has lasted. Until then the new settings and
-/// rules are obeyed with the number that there is, and the other one is made of what comes of that.
+/// The division, as the clusterer would make it from the live one: another number of teams counts at once where operators ask.
 fn divided(
     basis: &Basis,
     settings: &ClustererSettings,
     rules: Option<&TeamRules>,
     embedding: &Checked<Embedding>,
 ) -> Result<Teams, SettingsError> {
-    let basis = Basis { embedding: embedding.clone(), ..basis.clone() };
-    let evidence = situation(&basis, embedding).evidence(settings.teams, rules);
-    let range = evidence.demand.wanted.range();
-    let kept = evidence.last.filter(|teams| range.contains(teams) && *teams != evidence.best());
-    let Some(kept) = kept else { return divided_into(evidence.best(), &basis, settings, rules) };
-    let teams = Checked::new_unchecked(divided_into(kept, &basis, settings, rules)?);
-    let basis = Basis { teams, ..basis };
-    let best = situation(&basis, embedding).evidence(settings.teams, rules).best();
-    divided_into(best, &basis, settings, rules)
-}
-
-/// The division into a number of teams.
-fn divided_into(
-    teams: u32,
-    basis: &Basis,
-    settings: &ClustererSettings,
-    rules: Option<&TeamRules>,
-) -> Result<Teams, SettingsError> {
-    let embedding = &basis.embedding;
-    let demand = situation(basis, embedding).demand(settings.teams, rules);
+    let evidence = situation(basis, embedding).evidence(settings.teams, rules);
+    let (demand, teams) = (evidence.demand, evidence.best());
     let resolved = |rules: &TeamRules| {
         Arc::new(rules.clone().resolved(Some(&basis.teams), &basis.memory, embedding))
     };

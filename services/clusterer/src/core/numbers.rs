@@ -2,7 +2,7 @@
 
 use muster_division::needs::Needs;
 use muster_division::number::{Asking, Evidence, Situation};
-use muster_division::rules::TeamRules;
+use muster_division::rules::{TeamRules, asks_alike};
 use muster_model::embedding::Embedding;
 use muster_model::settings::{ClustererSettings, SettingsError};
 use muster_model::time::Tick;
@@ -42,7 +42,10 @@ impl Clusterer {
         };
         let Evidence { demand, shown, last } = situation.evidence(settings.teams, rules);
         self.arrivals = situation.arrivals;
-        let teams = self.count.decide(now, demand.wanted, shown, last);
+        let is_asked_for = self.flight.completed().is_some_and(|made| {
+            made.settings != *settings || !asks_alike(made.rules.as_ref(), rules)
+        });
+        let teams = self.count.decide(now, demand.wanted, shown, last, is_asked_for);
         Number { teams, is_same: demand.current == Some(teams) }
     }
 
