@@ -87,8 +87,13 @@ impl World {
         node.busy_until = self.now + if until > self.now { each } else { time };
         match handled {
             Ok(commands) => {
+                let begins_job = commands.iter().any(|command| matches!(command, Command::RunJob));
                 for command in commands {
                     self.carry_out(index, now, command);
+                }
+                // A leader that is sure again announces the settings that it has after what it has published already.
+                if begins_job && let Some(process) = &mut self.nodes[index].process {
+                    process.changes_before_job = process.settings_changes;
                 }
             }
             Err(misbehaviour) => self.require(breach(CONTRACT, misbehaviour.seen)),
@@ -171,7 +176,6 @@ impl World {
     fn run_job(&mut self, index: usize) {
         let node = &mut self.nodes[index];
         let Some(process) = &mut node.process else { return };
-        process.changes_before_job = process.settings_changes;
         if let Err(misbehaviour) = process.host.run_job() {
             return self.require(breach(CONTRACT, misbehaviour.seen));
         }

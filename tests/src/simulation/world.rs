@@ -32,8 +32,8 @@ use super::viewers::{ViewerEvent, Viewers};
 use super::{AGREEMENT_TICKS, Mutant, Scale, Stats, TICK};
 
 /// How long all must have agreed without a change before a run ends: viewers believe services that have lost all state, and
-/// their terms with it, after five seconds and a heartbeat.
-const AGREED_TIME: Micros = 7 * SECOND;
+/// their terms with it, after five seconds and a heartbeat, and those of ROS draw a team around its robots with the next division.
+const AGREED_TIME: Micros = 8 * SECOND;
 
 /// How long after the storm nothing is about to change by itself any more: the last new superior is known
 /// within two seconds, counts as new orders for ten, and the fleet is at rest a second later. A division that
@@ -668,7 +668,8 @@ impl World {
             let is_over =
                 if is_long { since > limit + LONG_RUN_TIME } else { since >= at + AGREED_TIME };
             // Whoever draws slowly is to see that as well.
-            let is_shown = self.now >= self.seat_filled + AGREED_TIME;
+            let is_shown =
+                self.seat_being_filled.is_none() && self.now >= self.seat_filled + AGREED_TIME;
             self.finished = is_over && is_shown && self.power_cut.is_none();
         }
         self.check_alerts(since);
@@ -694,7 +695,7 @@ impl World {
         if self.settled.is_some() {
             self.rest(settled_for);
         }
-        self.finished &= self.at_rest.is_none() && self.seat_being_filled.is_none();
+        self.finished &= self.at_rest.is_none();
         self.schedule(self.now + TICK, Event::Poll);
     }
 

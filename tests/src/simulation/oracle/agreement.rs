@@ -247,7 +247,7 @@ impl Oracle {
         // Who can fill needs depends on the roster as well.
         let able = |teams: &Teams| (teams.stale.clone(), teams.needs.clone());
         let has_needs = !before.teams.needs.is_empty() || !now.teams.needs.is_empty();
-        if has_needs && able(&before.teams) != able(&now.teams) {
+        if has_needs && (able(&before.teams) != able(&now.teams) || before.silent != now.silent) {
             return Ok(());
         }
         let moved = moved(&before.teams, &now.teams);

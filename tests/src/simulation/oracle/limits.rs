@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use muster_model::event::EventKind;
 use muster_model::id::TeamId;
 use muster_model::settings::ClustererSettings;
-use muster_model::teams::Teams;
+use muster_model::teams::{Limited, Teams};
 use muster_model::wish::{StandingWish, WishKind, WishList, WishState};
 use muster_wire::envelope::AnnouncedSettings;
 
@@ -91,8 +91,14 @@ impl Limits {
         self.wishes.iter().any(|one| one.state != WishState::Expired)
     }
 
-    /// Whether a wish waited for a team that is there for the first time.
+    /// Whether the next division grants a wish that this one could not: one that waited for a team which is there for the first
+    /// time, or one of a robot that had no team because its own was locked.
     pub(crate) fn wish_begins_to_count(&self, before: &Teams, now: &Teams) -> bool {
+        let stands = now.limited.as_ref().is_some_and(Limited::stands);
+        let is_lock = |one: &StandingWish| one.wish.kind == WishKind::Lock;
+        if stands && !now.unassigned.is_empty() && self.wishes.iter().any(is_lock) {
+            return true;
+        }
         let waits = |one: &&StandingWish| one.state == WishState::Waiting;
         let mut wanted = self.wishes.iter().filter(waits).filter_map(|one| one.wish.team.as_ref());
         let has = |teams: &Teams, id: &TeamId| teams.teams.iter().any(|team| team.id == *id);

@@ -30,9 +30,9 @@ use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
-use muster_model::id::{CommandId, OperatorId, RobotId, ServiceName};
+use muster_model::id::{CommandId, OperatorId, RobotId, ServiceName, TeamId};
 use muster_model::roster::Roster;
-use muster_model::teams::Teams;
+use muster_model::teams::{Member, Teams};
 use muster_wire::Message;
 use muster_wire::envelope::AnnouncedSettings;
 
@@ -87,6 +87,8 @@ struct Divided {
     moved: BTreeSet<RobotId>,
     /// Whether there have been other teams since the vectors and the settings changed.
     renamed: bool,
+    /// The teams of the division before of which all robots were stale: nobody fills their needs.
+    silent: BTreeSet<TeamId>,
 }
 
 impl Divided {
@@ -94,6 +96,13 @@ impl Divided {
     fn leadership(&self) -> (Publisher, u64, u32) {
         (self.publisher, self.teams.header.revision.term, self.settings)
     }
+}
+
+/// The teams of which all robots are stale.
+fn silent(teams: &Teams) -> BTreeSet<TeamId> {
+    let is_stale = |member: &Member| teams.stale.contains(&member.robot);
+    let silent = teams.teams.iter().filter(|team| team.members.iter().all(is_stale));
+    silent.map(|team| team.id.clone()).collect()
 }
 
 /// What has been published, by revision. Two leaders may give the same one.
@@ -331,7 +340,10 @@ impl Oracle {
                 }
                 let (moved, renamed) = (BTreeSet::new(), false);
                 let teams_now = teams.clone();
-                let divided = Divided { publisher, settings, teams: teams_now, moved, renamed };
+                let before = self.divisions.last();
+                let silent = before.map(|before| silent(before)).unwrap_or_default();
+                let divided =
+                    Divided { publisher, settings, teams: teams_now, moved, renamed, silent };
                 if let Some(before) = self.divided.replace(divided) {
                     self.check_same_again(before)?;
                 }

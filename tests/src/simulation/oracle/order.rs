@@ -28,7 +28,7 @@ pub(crate) struct Order {
     /// The last that an instance gave on each key, over all its processes: its terms are kept on disk.
     given: BTreeMap<(ServiceName, usize, String), Revision>,
     /// The last of another service's that a process went by.
-    taken: BTreeMap<(Publisher, &'static str), Revision>,
+    taken: BTreeMap<(ServiceName, &'static str), (Publisher, Revision)>,
     /// The last publisher of each key, and the highest term of each that has published on it.
     publishers: BTreeMap<String, (Publisher, BTreeMap<Publisher, u64>)>,
     /// What each instance said that came of each command, by its key.
@@ -114,7 +114,7 @@ impl Order {
             matches!(message, Message::Event(_) | Message::Refused(_) | Message::Wishes(_));
         let key = if of_process { format!("{key} of process {}", publisher.process) } else { key };
         let place = (service, instance, key);
-        if matches!(message, Message::Settings(_)) && revision == Revision::default() {
+        if matches!(message, Message::Settings(_)) && revision.term == 0 {
             // A leader that has lost its state does not say that these are the settings of the fleet.
             return Ok(());
         }
@@ -133,7 +133,9 @@ impl Order {
             _ => Vec::new(),
         };
         for (what, revision) in named {
-            let last = self.taken.insert((publisher, what), revision);
+            let last = self.taken.insert((service, what), (publisher, revision));
+            // One that leads again after another one goes on from what that has published.
+            let last = last.filter(|(of, _)| *of == publisher).map(|(_, last)| last);
             if last.is_some_and(|last| revision < last) {
                 return breach(
                     "a reader never goes back to a lower term or epoch",
