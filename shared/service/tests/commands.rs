@@ -441,6 +441,23 @@ fn an_instance_that_is_back_says_what_it_had_confirmed_as_soon_as_it_follows_a_l
     assert_eq!(outcomes(&back), said);
 }
 
+/// It asks what there is for two seconds, and its leader may be gone by then.
+#[test]
+fn a_change_that_its_own_leader_could_not_hear_of_holds_when_an_instance_leads_again() {
+    let mut old = Driven::<ONE_LEADS>::leading();
+    set(&mut old, "kim/c1", &json!({"teams": 7})).unwrap();
+    let term = outcomes(&old)[0].header.revision.term + 1;
+    old.receive(token("a", true));
+    old.receive(renewal("a", term, 5));
+    assert_eq!(old.host.replica_state(), ReplicaState::Starting);
+    old.receive(settings(term, 5, 5));
+    assert_eq!(old.teams(), 5);
+    old.receive(token("a", false));
+    old.wait(3.0);
+    old.answer_all(Vec::new());
+    assert_eq!((old.host.replica_state(), old.teams()), (ReplicaState::Leading, 7));
+}
+
 /// A leader that was cut off begins again with an old term, as the only one. Who has led since takes over with what it knows.
 #[test]
 fn settings_of_a_leader_of_a_lower_term_do_not_replace_those_of_the_term_on_the_disk() {

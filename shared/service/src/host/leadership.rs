@@ -234,6 +234,7 @@ impl<C: Core> Host<C> {
         if occasion == Occasion::Start {
             self.facilities.notice_state_loss(seen);
         }
+        self.restore_confirmed_changes();
         for mut missed in self.facilities.replica.settings.take_missed() {
             let (time, term) = (missed.time, missed.confirmed_lately_in());
             self.facilities.operator_commands.drop_changed_later(&mut missed.patch, time, term);

@@ -54,6 +54,8 @@ pub(crate) struct ReplicaSettings<S> {
     announcements_left: u8,
     /// With how many renewals of its leader a standby says again what it had confirmed when it led.
     confirmations_left: u8,
+    /// Whether this instance has stood down since it last said what it had confirmed: nobody else may know it.
+    are_confirmations_unsaid: bool,
     /// Whether a leader was received that has no settings of the fleet either.
     are_lost: bool,
     /// What a standby asks its leader.
@@ -119,6 +121,7 @@ impl<S: Settings> ReplicaSettings<S> {
             of_next_leader: None,
             announcements_left: 0,
             confirmations_left: 0,
+            are_confirmations_unsaid: false,
             are_lost: false,
             queries: Queries::default(),
             missed: MissedChanges::default(),
@@ -150,6 +153,7 @@ impl<S: Settings> ReplicaSettings<S> {
     pub(crate) fn stood_down(&mut self, revision: Revision) {
         self.adopted = revision;
         self.are_from_disk = false;
+        self.are_confirmations_unsaid = true;
         self.renewals_below = 0;
         self.of_next_leader = None;
         self.announcements_left = 0;
@@ -273,6 +277,16 @@ impl<S: Settings> ReplicaSettings<S> {
     /// What this instance had confirmed is said again with the next renewals of its leader: what it says once may be lost.
     pub(crate) fn repeat_confirmations(&mut self) {
         self.confirmations_left = REPEATED_ANNOUNCEMENTS;
+    }
+
+    /// Whether what this instance had confirmed was not said since it stood down; that is given once.
+    pub(crate) fn take_unsaid_confirmations(&mut self) -> bool {
+        std::mem::take(&mut self.are_confirmations_unsaid)
+    }
+
+    /// Whether a patch would change anything.
+    pub(crate) fn lacks(&self, patch: &Map<String, Value>) -> bool {
+        !has(&self.current, patch)
     }
 
     /// Whether it is said again, now that the leader has renewed its lease.
