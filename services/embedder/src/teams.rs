@@ -13,6 +13,9 @@ use muster_wire::envelope::AnnouncedSettings;
 /// settings seldom change, and only guide the choice of the dimension and what is published as evidence.
 const ASK_INTERVAL: Duration = Duration::from_secs(10);
 
+/// The same once an announcement was older than the newest one: either it was overtaken, or the newest one was forged.
+const DOUBT_INTERVAL: Duration = Duration::from_secs(1);
+
 /// The newest announcement.
 #[derive(Debug)]
 pub(crate) struct TeamsWanted {
@@ -21,6 +24,8 @@ pub(crate) struct TeamsWanted {
     at: Option<Revision>,
     /// Whether the last answer to a question was older than the announcement.
     contradicted: bool,
+    /// Whether an announcement since the newest one was older.
+    is_doubtful: bool,
     asked: Tick,
 }
 
@@ -30,6 +35,7 @@ impl Default for TeamsWanted {
             teams: ClustererSettings::default().teams,
             at: None,
             contradicted: false,
+            is_doubtful: false,
             asked: Tick::default(),
         }
     }
@@ -53,6 +59,7 @@ impl TeamsWanted {
         // A leader without state announces its settings without a term. They hold, whatever was before.
         let revision = announced.header.revision;
         if revision.term > 0 && self.is_old(announced) {
+            self.is_doubtful = true;
             return Ok(Acceptance::Old);
         }
         self.apply(announced)?;
@@ -82,7 +89,7 @@ impl TeamsWanted {
     fn apply(&mut self, announced: &AnnouncedSettings) -> Result<(), SettingsError> {
         self.teams = teams_of(&announced.settings)?;
         self.at = Some(announced.header.revision);
-        self.contradicted = false;
+        (self.contradicted, self.is_doubtful) = (false, false);
         Ok(())
     }
 
@@ -93,7 +100,7 @@ impl TeamsWanted {
 
     /// When they are to be asked for again.
     pub(crate) fn due(&self) -> Tick {
-        self.asked.after(ASK_INTERVAL)
+        self.asked.after(if self.is_doubtful { DOUBT_INTERVAL } else { ASK_INTERVAL })
     }
 }
 

@@ -277,6 +277,23 @@ fn a_forged_announcement_lasts_until_the_clusterer_has_contradicted_twice() {
 }
 
 #[test]
+fn the_clusterer_is_asked_soon_once_it_has_contradicted_an_announcement() {
+    let (mut bench, mut ingest) = (Bench::fresh(), three_bridged_cliques());
+    bench.frame(&mut ingest);
+    bench.receive(announced_at(Revision { term: 900, epoch: 1 }, &teams(3)));
+    bench.receive(announced(&teams(2)));
+    for expected in [6, 4] {
+        bench.wait(1.0);
+        let fetch = bench.settings_fetches.pop_front().unwrap();
+        bench.answer_fetch(fetch, vec![announced(&teams(2))]);
+        assert_eq!(bench.last().dimension, expected);
+    }
+    bench.settings_fetches.clear();
+    bench.wait(8.0);
+    assert!(bench.settings_fetches.is_empty(), "nothing is doubtful any more");
+}
+
+#[test]
 fn every_group_has_an_embedding_and_the_dimension_does_not_flap() {
     // Three groups of five, two teams: by noise of the distances, each group is the least at times.
     let mut ingest = Ingest::new(&["spatial"]);
