@@ -166,10 +166,18 @@ impl World {
     /// Notes what a historian is about to receive.
     pub(super) fn note_received(&mut self, index: usize, input: &Input) {
         let node = &self.nodes[index];
-        let Input::Arrived(arrival) = input else { return };
         if node.service != ServiceName::Historian || !self.is_judged() {
             return;
         }
+        if let Input::Answered { answers, .. } = input {
+            for answer in answers {
+                if let Ok(Message::Teams { teams, .. }) = answer.clone().into_message(&self.space) {
+                    let revision = teams.header.revision;
+                    self.oracle.recorded.learned(self.nodes[index].instance, revision);
+                }
+            }
+        }
+        let Input::Arrived(arrival) = input else { return };
         let (Some(process), Ok(message)) =
             (&node.process, arrival.clone().into_message(&self.space))
         else {

@@ -148,7 +148,8 @@ impl Bridged {
     /// A division reaches the process. Only its publisher says that it is still valid: a reply may come from somebody who
     /// remembers it, and counts if it is the newest that has come.
     pub(crate) fn division(&mut self, now: Micros, revision: Revision, via: Via) {
-        self.divisions.retain(|(at, _)| now < at + 2 * STAYS);
+        let highest = self.divisions.iter().map(|(_, revision)| *revision).max();
+        self.divisions.retain(|(at, revision)| now < at + 2 * STAYS || Some(*revision) == highest);
         if via == Via::Put || self.divisions.iter().all(|(_, known)| *known < revision) {
             self.divisions.push((now, revision));
         }

@@ -51,7 +51,7 @@ struct Tape {
     events: BTreeSet<(ServiceName, Revision)>,
     /// What the process has received and not promised yet, with the moment by its clock.
     awaited: VecDeque<(Tick, Received)>,
-    /// The newest division that it has received and promised. A leader of a lower term may lead again after a higher one
+    /// The newest division that it has received and promised, or was answered with. A leader of a lower term may lead again after a higher one
     /// was killed; a reader does not go back to what it publishes, and a historian does not either.
     newest: Option<Revision>,
 }
@@ -80,6 +80,12 @@ impl Recorded {
             _ => return,
         };
         self.tapes.entry(instance).or_default().awaited.push_back((at, received));
+    }
+
+    /// An instance is answered with a division. What is published of a lower revision need not be recorded.
+    pub(crate) fn learned(&mut self, instance: usize, revision: Revision) {
+        let tape = self.tapes.entry(instance).or_default();
+        tape.newest = tape.newest.max(Some(revision));
     }
 
     /// The process of an instance was killed: what it had not promised may be lost, and so many records are there.
