@@ -23,8 +23,8 @@ use crate::identity;
 use crate::rules::TeamRules;
 use crate::seats::last_of;
 
-/// How many divisions are made at most, each from the one before. Each costs as much as the first. The second changes nothing
-/// nearly always, and the third only in one of some ten thousand runs of the simulation.
+/// How many divisions are made at most, each from the one before, and only where that has changed something. Each costs as much
+/// as the first.
 const MAX_PASSES: usize = 4;
 
 /// Divides the robots that have a non-zero embedding. While nothing satisfies the rules the last division stands.

@@ -458,21 +458,30 @@ fn a_change_that_its_own_leader_could_not_hear_of_holds_when_an_instance_leads_a
     assert_eq!((old.host.replica_state(), old.teams()), (ReplicaState::Leading, 7));
 }
 
-/// A leader that was cut off begins again with an old term, as the only one. Who has led since takes over with what it knows.
-#[test]
-fn settings_of_a_leader_of_a_lower_term_do_not_replace_those_of_the_term_on_the_disk() {
+/// The term of the leader that [`back_above_its_leader`] finds.
+const LOWER: u64 = 8;
+
+/// An instance that has led a higher term than the leader that it finds, and has confirmed 7 teams to that one's 5.
+fn back_above_its_leader() -> Driven<ONE_LEADS> {
     let mut old = Driven::<ONE_LEADS>::leading();
     set(&mut old, "kim/c1", &json!({"teams": 7})).unwrap();
-    let (stored, lower) = (Stored { term: 9, ..old.stored.clone() }, 8);
-    let answers = vec![renewal("a", lower, 5), settings(lower, 5, 5)];
+    let stored = Stored { term: LOWER + 1, ..old.stored.clone() };
+    let answers = vec![renewal("a", LOWER, 5), settings(LOWER, 5, 5)];
     let mut back = Driven::<ONE_LEADS>::restarted(stored, answers);
     assert_eq!((back.host.replica_state(), back.teams()), (ReplicaState::Standby, 7));
     back.receive(token("a", true));
+    back
+}
+
+/// A leader that was cut off begins again with an old term, as the only one. Who has led since takes over with what it knows.
+#[test]
+fn settings_of_a_leader_of_a_lower_term_do_not_replace_those_of_the_term_on_the_disk() {
+    let mut back = back_above_its_leader();
     for epoch in 6..9 {
-        back.receive(settings(lower, epoch, 5));
-        back.receive(renewal("a", lower, epoch));
+        back.receive(settings(LOWER, epoch, 5));
+        back.receive(renewal("a", LOWER, epoch));
         back.wait(0.5);
-        back.answer_all(vec![settings(lower, epoch, 5)]);
+        back.answer_all(vec![settings(LOWER, epoch, 5)]);
     }
     assert_eq!((back.host.replica_state(), back.teams()), (ReplicaState::Leading, 7));
 }
@@ -480,22 +489,17 @@ fn settings_of_a_leader_of_a_lower_term_do_not_replace_those_of_the_term_on_the_
 /// Until it is replaced, a leader of a lower term confirms changes as any other.
 #[test]
 fn a_change_that_a_leader_of_a_lower_term_confirms_holds_after_it_is_replaced() {
-    let mut old = Driven::<ONE_LEADS>::leading();
-    set(&mut old, "kim/c1", &json!({"teams": 7})).unwrap();
-    let (stored, lower) = (Stored { term: 9, ..old.stored.clone() }, 8);
-    let answers = vec![renewal("a", lower, 5), settings(lower, 5, 5)];
-    let mut back = Driven::<ONE_LEADS>::restarted(stored, answers);
-    back.receive(token("a", true));
+    let mut back = back_above_its_leader();
     let mut other = Driven::<ONE_LEADS>::leading();
     other.wait(1.0);
     set(&mut other, "kim/c2", &json!({"teams": 4})).unwrap();
     let mut confirmed = CommandOutcome::clone(&outcomes(&other)[0]);
-    confirmed.header.revision = Revision { term: lower, epoch: 5 };
+    confirmed.header.revision = Revision { term: LOWER, epoch: 5 };
     back.receive(Message::Outcome(Arc::new(confirmed)));
     for epoch in 6..9 {
-        back.receive(renewal("a", lower, epoch));
+        back.receive(renewal("a", LOWER, epoch));
         back.wait(0.5);
-        back.answer_all(vec![settings(lower, epoch, 4)]);
+        back.answer_all(vec![settings(LOWER, epoch, 4)]);
     }
     assert_eq!((back.host.replica_state(), back.teams()), (ReplicaState::Leading, 4));
 }

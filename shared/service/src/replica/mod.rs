@@ -110,7 +110,7 @@ impl<S: Settings> Replica<S> {
         self.seen_by_readers
     }
 
-    /// An instance without a term has answered with its settings, and says which term it has stored: nobody else may have received
+    /// An instance without a term has answered with its settings, and says which term it has stored: no other one may have received
     /// it of a leader that was lost at once.
     pub(crate) fn note_stored_by_other(&mut self, now: Tick, announced: &AnnouncedSettings) {
         let Revision { term, epoch: stored } = announced.header.revision;

@@ -54,7 +54,7 @@ pub(crate) struct ReplicaSettings<S> {
     announcements_left: u8,
     /// With how many renewals of its leader a standby says again what it had confirmed when it led.
     confirmations_left: u8,
-    /// Whether this instance has stood down since it last said what it had confirmed: nobody else may know it.
+    /// Whether this instance has stood down since it last said what it had confirmed: no other one may know it.
     are_confirmations_unsaid: bool,
     /// Whether a leader was received that has no settings of the fleet either.
     are_lost: bool,

@@ -87,7 +87,7 @@ struct Divided {
     moved: BTreeSet<RobotId>,
     /// Whether there have been other teams since the vectors and the settings changed.
     renamed: bool,
-    /// The teams of the division before of which all robots were stale: nobody fills their needs.
+    /// The teams of the division before of which all robots were stale: no robot fills their needs.
     silent: BTreeSet<TeamId>,
 }
 

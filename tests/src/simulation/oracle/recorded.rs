@@ -51,8 +51,8 @@ struct Tape {
     events: BTreeSet<(ServiceName, Revision)>,
     /// What the process has received and not promised yet, with the moment by its clock.
     awaited: VecDeque<(Tick, Received)>,
-    /// The newest division that it has received and promised, or was answered with. A leader of a lower term may lead again after a higher one
-    /// was killed; a reader does not go back to what it publishes, and a historian does not either.
+    /// The newest division that it has received and promised, or was answered with. A leader of a lower term may lead again
+    /// after a higher one was killed; a reader does not go back to what it publishes, and a historian does not either.
     newest: Option<Revision>,
 }
 
