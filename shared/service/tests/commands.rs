@@ -465,7 +465,10 @@ const LOWER: u64 = 8;
 fn back_above_its_leader() -> Driven<ONE_LEADS> {
     let mut old = Driven::<ONE_LEADS>::leading();
     set(&mut old, "kim/c1", &json!({"teams": 7})).unwrap();
-    let stored = Stored { term: LOWER + 1, ..old.stored.clone() };
+    let mut stored = Stored { term: LOWER + 1, ..old.stored.clone() };
+    for outcome in &mut stored.commands {
+        outcome.header.revision.term = stored.term;
+    }
     let answers = vec![renewal("a", LOWER, 5), settings(LOWER, 5, 5)];
     let mut back = Driven::<ONE_LEADS>::restarted(stored, answers);
     assert_eq!((back.host.replica_state(), back.teams()), (ReplicaState::Standby, 7));
