@@ -458,6 +458,40 @@ fn a_change_that_its_own_leader_could_not_hear_of_holds_when_an_instance_leads_a
     assert_eq!((old.host.replica_state(), old.teams()), (ReplicaState::Leading, 7));
 }
 
+/// An instance that has confirmed 7 teams, stood down for a leader that has 5, and receives renewals and settings of that one.
+fn following_after_a_change(renewals: u64) -> Driven<ONE_LEADS> {
+    let mut old = Driven::<ONE_LEADS>::leading();
+    set(&mut old, "kim/c1", &json!({"teams": 7})).unwrap();
+    let term = outcomes(&old)[0].header.revision.term + 1;
+    old.receive(token("a", true));
+    old.receive(renewal("a", term, 5));
+    old.wait(3.0);
+    old.answer_all(vec![renewal("a", term, 5), settings(term, 5, 5)]);
+    for epoch in 6..6 + renewals {
+        old.receive(renewal("a", term, epoch));
+        old.receive(settings(term, epoch, 5));
+        old.wait(0.5);
+    }
+    assert_eq!((old.host.replica_state(), old.teams()), (ReplicaState::Standby, 5));
+    old.receive(token("a", false));
+    old.wait(3.0);
+    old.answer_all(Vec::new());
+    assert_eq!(old.host.replica_state(), ReplicaState::Leading);
+    old
+}
+
+/// What it says of that to the new leader may be lost, and the leader right after it.
+#[test]
+fn a_change_holds_that_was_said_to_a_leader_that_has_not_announced_it() {
+    assert_eq!(following_after_a_change(1).teams(), 7);
+}
+
+/// A leader that has received it for seconds and announces something else has been given another command since.
+#[test]
+fn a_change_that_a_leader_has_long_received_holds_no_more() {
+    assert_eq!(following_after_a_change(5).teams(), 5);
+}
+
 /// The term of the leader that [`back_above_its_leader`] finds.
 const LOWER: u64 = 8;
 

@@ -22,6 +22,7 @@ use super::log::Log;
 use super::mutants::Mutator;
 use super::node::Node;
 use super::operator::Operator;
+use super::oracle::viewed::SCENE_LIFETIME;
 use super::oracle::{ALERTED_WITHIN, Agreed, Bounds, Breach, MEMORY, Oracle, Verified};
 use super::plan::{Fault, Injection, Place};
 use super::proposer::{AtRest, Errand};
@@ -34,6 +35,10 @@ use super::{AGREEMENT_TICKS, Mutant, Scale, Stats, TICK};
 /// How long all must have agreed without a change before a run ends: viewers believe services that have lost all state, and
 /// their terms with it, after five seconds and a heartbeat, and those of ROS draw a team around its robots with the next division.
 const AGREED_TIME: Micros = 8 * SECOND;
+
+/// How much longer where viewers of Foxglove watch: a slow one may be sent too much to be told that a team has ended, and draws
+/// it until its lifetime is over.
+const DRAWN_TIME: Micros = SCENE_LIFETIME;
 
 /// How long after the storm nothing is about to change by itself any more: the last new superior is known
 /// within two seconds, counts as new orders for ten, and the fleet is at rest a second later. A division that
@@ -665,11 +670,13 @@ impl World {
         if let Some((at, _)) = &self.settled {
             self.stats.agreement = *at;
             let is_long = self.seed.is_multiple_of(LONG_RUN_EVERY);
+            let drawn_time = if self.viewers.are_there() { DRAWN_TIME } else { 0 };
+            let agreed_time = AGREED_TIME + drawn_time;
             let is_over =
-                if is_long { since > limit + LONG_RUN_TIME } else { since >= at + AGREED_TIME };
+                if is_long { since > limit + LONG_RUN_TIME } else { since >= at + agreed_time };
             // Whoever draws slowly is to see that as well.
             let is_shown =
-                self.seat_being_filled.is_none() && self.now >= self.seat_filled + AGREED_TIME;
+                self.seat_being_filled.is_none() && self.now >= self.seat_filled + agreed_time;
             self.finished = is_over && is_shown && self.power_cut.is_none();
         }
         self.check_alerts(since);

@@ -148,36 +148,18 @@ impl<C: Core> Host<C> {
 
     /// Says again what this instance has confirmed in its last term: whoever leads now may not have received it.
     pub(super) fn say_confirmed_changes(&mut self) {
-        self.facilities.replica.settings.take_unsaid_confirmations();
         for outcome in self.confirmed_changes() {
             self.facilities.publish(Message::Outcome(outcome));
         }
     }
 
     /// The newest changes that this instance has confirmed in its last term, the oldest first.
-    fn confirmed_changes(&self) -> Vec<Arc<CommandOutcome>> {
+    pub(super) fn confirmed_changes(&self) -> Vec<Arc<CommandOutcome>> {
         let facilities = &self.facilities;
         let own = facilities.operator_commands.own_outcomes(facilities.replica.revision().term);
         let own = own.filter(|outcome| confirmed_patch(outcome).is_some());
         let mut own: Vec<_> = own.cloned().collect();
         own.split_off(own.len().saturating_sub(MAX_MISSED))
-    }
-
-    /// Changes the settings by what this instance had confirmed before it stood down, if it leads again before it could say that:
-    /// the settings of a leader in between need not have it.
-    pub(super) fn restore_confirmed_changes(&mut self) {
-        if !self.facilities.replica.settings.take_unsaid_confirmations() {
-            return;
-        }
-        for outcome in self.confirmed_changes() {
-            let Some(mut patch) = confirmed_patch(&outcome) else { continue };
-            let facilities = &self.facilities;
-            let time = CommandTime::of(&outcome);
-            facilities.operator_commands.drop_changed_later(&mut patch, time, None);
-            if facilities.replica.settings.lacks(&patch) {
-                self.change_confirmed(patch);
-            }
-        }
     }
 
     fn command(&mut self, get: Get, name: CommandName) {

@@ -96,8 +96,9 @@ impl<C: Core> Host<C> {
     }
 
     pub(super) fn stand_down(&mut self) {
+        let confirmed = self.confirmed_changes();
         let replica = &mut self.facilities.replica;
-        replica.settings.stood_down(replica.revision());
+        replica.settings.stood_down(replica.revision(), &confirmed);
         self.facilities.fetches.forget();
         self.facilities.fetched.clear();
         self.facilities.abandon_job();
@@ -161,7 +162,9 @@ impl<C: Core> Host<C> {
     pub(super) fn leader_renewed(&mut self) {
         let replica = &mut self.facilities.replica;
         let Some(leader) = replica.election.followed() else { return };
-        let is_due = replica.settings.are_confirmations_said_again();
+        // An instance that still asks what there is says them once it knows that it follows.
+        let is_due = replica.election.state() == ReplicaState::Standby
+            && replica.settings.are_confirmations_said_again();
         if let Some(announced) = replica.settings.renewed(leader) {
             self.adopt(&announced);
         }
@@ -234,11 +237,10 @@ impl<C: Core> Host<C> {
         if occasion == Occasion::Start {
             self.facilities.notice_state_loss(seen);
         }
-        self.restore_confirmed_changes();
         for mut missed in self.facilities.replica.settings.take_missed() {
             let (time, term) = (missed.time, missed.confirmed_lately_in());
             self.facilities.operator_commands.drop_changed_later(&mut missed.patch, time, term);
-            if !missed.patch.is_empty() {
+            if self.facilities.replica.settings.lacks(&missed.patch) {
                 self.change_confirmed(missed.patch);
             }
         }

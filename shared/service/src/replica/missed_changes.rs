@@ -56,13 +56,23 @@ impl CommandTime {
     }
 }
 
+/// Who has confirmed a change.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ConfirmedBy {
+    /// This instance, before it stood down: the next leader may not have received it.
+    Own,
+    /// The leader that was followed: it counts even if that has a lower term than the settings.
+    Followed,
+    /// Another instance.
+    Other,
+}
+
 /// A change that a leader has confirmed.
 #[derive(Debug)]
 pub(crate) struct MissedChange {
     /// The revision of the settings in which it is in force.
     revision: Revision,
-    /// Whether the leader that was followed has confirmed it: it counts even if that has a lower term than the settings.
-    is_of_followed: bool,
+    confirmed_by: ConfirmedBy,
     pub(crate) time: CommandTime,
     pub(crate) patch: Map<String, Value>,
 }
@@ -71,33 +81,42 @@ impl MissedChange {
     /// The term of the leader that has confirmed it while it was followed: it is later than all changes of other terms,
     /// whatever the clocks of other instances say.
     pub(crate) fn confirmed_lately_in(&self) -> Option<u64> {
-        self.is_of_followed.then_some(self.revision.term)
+        (self.confirmed_by == ConfirmedBy::Followed).then_some(self.revision.term)
     }
 }
 
-/// What a standby has received of the outcomes of its leader since the last settings of it.
+/// What a standby knows of the outcomes of leaders, its own ones too, and has not received with settings since.
 #[derive(Debug, Default)]
 pub(crate) struct MissedChanges(VecDeque<MissedChange>);
 
 impl MissedChanges {
-    /// An outcome was received, whose change is in force in the settings of that revision.
-    pub(crate) fn note(&mut self, outcome: &CommandOutcome, is_of_followed: bool) {
+    /// An outcome was received, or given, whose change is in force in the settings of that revision.
+    pub(crate) fn note(&mut self, outcome: &CommandOutcome, confirmed_by: ConfirmedBy) {
         if let Some(patch) = confirmed_patch(outcome) {
             if self.0.len() >= MAX_MISSED {
                 self.0.pop_front();
             }
             let (revision, time) = (outcome.header.revision, CommandTime::of(outcome));
-            self.0.push_back(MissedChange { revision, is_of_followed, time, patch });
+            self.0.push_back(MissedChange { revision, confirmed_by, time, patch });
         }
     }
 
-    /// Settings of a revision were adopted. Those of the same revision may be of before a change, or have it.
+    /// Settings of a revision were adopted. Those of the same revision may be of before a change, or have it. Those of a new leader
+    /// may be of before it received what this instance had confirmed, as long as that is said (`are_own_said`).
     pub(crate) fn adopted(
         &mut self,
         revision: Revision,
+        are_own_said: bool,
         has: impl Fn(&Map<String, Value>) -> bool,
     ) {
-        self.0.retain(|missed| missed.revision >= revision && !has(&missed.patch));
+        self.0.retain(|missed| match missed.confirmed_by {
+            // Its own settings may come back from the bus.
+            ConfirmedBy::Own if missed.revision.term == revision.term => true,
+            ConfirmedBy::Own => are_own_said && !has(&missed.patch),
+            ConfirmedBy::Followed | ConfirmedBy::Other => {
+                missed.revision >= revision && !has(&missed.patch)
+            }
+        });
     }
 
     /// The changes since settings of a revision, the oldest first; they are given once.
@@ -105,7 +124,9 @@ impl MissedChanges {
         let mut all = std::mem::take(&mut self.0);
         // Several instances may have said them, each in its own order.
         all.make_contiguous().sort_by_key(|missed| missed.revision);
-        let counts = |missed: &MissedChange| missed.is_of_followed || missed.revision >= revision;
+        let counts = |missed: &MissedChange| {
+            missed.confirmed_by != ConfirmedBy::Other || missed.revision >= revision
+        };
         all.into_iter().filter(counts).collect()
     }
 }

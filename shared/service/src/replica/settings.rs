@@ -1,6 +1,8 @@
 //! The settings in force: what file and flags say, what operators have changed, and what a standby
 //! adopts from its leader.
 
+use std::sync::Arc;
+
 use muster_model::command::CommandOutcome;
 use muster_model::header::Revision;
 use muster_model::settings::Settings;
@@ -11,7 +13,7 @@ use muster_wire::message::quoted;
 use serde_json::{Map, Value};
 
 use super::lease::RENEWAL_INTERVAL;
-use super::missed_changes::{MissedChange, MissedChanges, confirmed_patch};
+use super::missed_changes::{ConfirmedBy, MissedChange, MissedChanges, confirmed_patch};
 
 /// Largest patch of settings in bytes.
 const MAX_PATCH_BYTES: usize = MAX_SMALL_PAYLOAD;
@@ -54,8 +56,6 @@ pub(crate) struct ReplicaSettings<S> {
     announcements_left: u8,
     /// With how many renewals of its leader a standby says again what it had confirmed when it led.
     confirmations_left: u8,
-    /// Whether this instance has stood down since it last said what it had confirmed: no other one may know it.
-    are_confirmations_unsaid: bool,
     /// Whether a leader was received that has no settings of the fleet either.
     are_lost: bool,
     /// What a standby asks its leader.
@@ -121,7 +121,6 @@ impl<S: Settings> ReplicaSettings<S> {
             of_next_leader: None,
             announcements_left: 0,
             confirmations_left: 0,
-            are_confirmations_unsaid: false,
             are_lost: false,
             queries: Queries::default(),
             missed: MissedChanges::default(),
@@ -149,17 +148,21 @@ impl<S: Settings> ReplicaSettings<S> {
         serde_json::to_string(&self.current).unwrap_or_default()
     }
 
-    /// An instance that stood down goes by announcements from its own last output on.
-    pub(crate) fn stood_down(&mut self, revision: Revision) {
+    /// An instance that stood down goes by announcements from its own last output on. What it had `confirmed` counts until a
+    /// new leader announces it, or could long have received it.
+    pub(crate) fn stood_down(&mut self, revision: Revision, confirmed: &[Arc<CommandOutcome>]) {
         self.adopted = revision;
         self.are_from_disk = false;
-        self.are_confirmations_unsaid = true;
         self.renewals_below = 0;
         self.of_next_leader = None;
         self.announcements_left = 0;
         self.are_lost = false;
         self.queries = Queries::default();
         self.missed = MissedChanges::default();
+        for outcome in confirmed {
+            self.missed.note(outcome, ConfirmedBy::Own);
+        }
+        self.repeat_confirmations();
     }
 
     /// This instance begins a term with the settings that it has.
@@ -174,7 +177,9 @@ impl<S: Settings> ReplicaSettings<S> {
         let is_of_followed = followed == Some(revision.term);
         let is_new = revision >= self.known_since() && revision > self.stored_with;
         if is_new || is_of_followed && revision.term < self.known_since().term {
-            self.missed.note(outcome, is_of_followed);
+            let confirmed_by =
+                if is_of_followed { ConfirmedBy::Followed } else { ConfirmedBy::Other };
+            self.missed.note(outcome, confirmed_by);
         }
     }
 
@@ -279,11 +284,6 @@ impl<S: Settings> ReplicaSettings<S> {
         self.confirmations_left = REPEATED_ANNOUNCEMENTS;
     }
 
-    /// Whether what this instance had confirmed was not said since it stood down; that is given once.
-    pub(crate) fn take_unsaid_confirmations(&mut self) -> bool {
-        std::mem::take(&mut self.are_confirmations_unsaid)
-    }
-
     /// Whether a patch would change anything.
     pub(crate) fn lacks(&self, patch: &Map<String, Value>) -> bool {
         !has(&self.current, patch)
@@ -343,7 +343,8 @@ impl<S: Settings> ReplicaSettings<S> {
         self.are_from_disk = false;
         self.are_known = true;
         let current = &self.current;
-        self.missed.adopted(revision, |patch| has(current, patch));
+        let are_own_said = self.confirmations_left > 0;
+        self.missed.adopted(revision, are_own_said, |patch| has(current, patch));
         if self.patch == before { Adoption::Unchanged } else { Adoption::Changed }
     }
 }

@@ -25,7 +25,7 @@ const CONFIRMED: &str = "parameters are shown as services confirmed them";
 const REASONED: &str = "a change that is refused is reported with its reason";
 
 /// How long a scene stays with a viewer that receives no other one.
-const SCENE_LIFETIME: Micros = 4 * SECOND;
+pub(crate) const SCENE_LIFETIME: Micros = 4 * SECOND;
 
 /// How long a viewer must have watched before what it shows is compared: twice the longest time between two looks.
 const WATCHED_FOR: Micros = 4 * SECOND;
