@@ -22,6 +22,15 @@ fn highest_term(now: Micros) -> u64 {
     (BEGINNING + now) / SECOND + 2_147_483_648 + 60
 }
 
+/// How far clocks that are right to some seconds may be behind.
+const CLOCKS_BEHIND: Micros = 5 * SECOND;
+
+/// The highest term that every service believes, by clocks that are right to some seconds. One that goes above a term which was forged
+/// at the bound is believed by the last of them when the bound has risen so far.
+fn term_believed_by_all(now: Micros) -> u64 {
+    (BEGINNING + now).saturating_sub(CLOCKS_BEHIND) / SECOND + 2_147_483_648
+}
+
 /// The newest revisions of each instance of each service.
 #[derive(Debug, Default)]
 pub(crate) struct Order {
@@ -181,7 +190,8 @@ impl Order {
         }
         // Two that began at once: the one of the higher term goes on, in its own term.
         let of_others = terms.iter().filter(|(of, _)| **of != publisher).map(|(_, term)| *term);
-        let highest = of_others.max().unwrap_or(0);
+        let believed = term_believed_by_all(now);
+        let highest = of_others.filter(|term| *term <= believed).max().unwrap_or(0);
         let Some(renewed) = self.renewals.get(&former) else { return Ok(()) };
         let disturbed_until = self.disturbed_until.get(&publisher.service).copied();
         if *renewed < disturbed_until.unwrap_or_default() || now < renewed + RENEWAL_DELAY {

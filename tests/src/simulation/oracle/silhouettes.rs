@@ -10,9 +10,12 @@ use muster_model::teams::Teams;
 
 use super::{Oracle, Verified, breach};
 
-/// How far an audit may be from the definition. The two add up in another order, and the auditor counts coordinates from
-/// their mean: of robots that are 1e-8 of the whole fleet's size apart, that rounds off the last digits of the distance.
+/// How far an audit may be from the definition, since the two add up in another order.
 const TOLERANCE: f64 = 1e-7;
+
+/// How far a distance may be off, as a share of the largest: the auditor counts coordinates from their mean, which rounds off
+/// the last digits of the distance between robots that are close to each other.
+const DISTANCE_ROUNDING: f64 = 16.0 * f64::EPSILON;
 
 /// Up to which share of the largest distance a distance is rounding.
 const SAME_PLACE: f64 = 1e-12;
@@ -114,8 +117,8 @@ fn distance(left: &[f64], right: &[f64]) -> f64 {
 
 /// (b − a) / max(a, b) of each point: a is the mean distance to the others of its team, b the least
 /// mean distance to another team. A robot alone in its team has 0, and so has one that differs from both by rounding alone. None
-/// with fewer than two teams.
-fn scores(points: &[Point<'_>]) -> Option<Vec<f64>> {
+/// with fewer than two teams. The second number is how far an audit may be from the first.
+fn scores(points: &[Point<'_>]) -> Option<Vec<(f64, f64)>> {
     let mut teams: Vec<_> = points.iter().map(|point| point.1).collect();
     teams.sort();
     teams.dedup();
@@ -130,13 +133,16 @@ fn scores(points: &[Point<'_>]) -> Option<Vec<f64>> {
         (!distances.is_empty()).then(|| distances.iter().sum::<f64>() / count)
     };
     let all = points.iter().flat_map(|one| points.iter().map(|other| distance(&one.2, &other.2)));
-    let rounding = SAME_PLACE * all.fold(0.0, f64::max);
+    let largest = all.fold(0.0, f64::max);
     let score = |at: usize| {
-        let Some(own) = mean_to(at, points[at].1) else { return 0.0 };
+        let Some(own) = mean_to(at, points[at].1) else { return (0.0, TOLERANCE) };
         let others = teams.iter().filter(|team| **team != points[at].1);
         let nearest = others.filter_map(|team| mean_to(at, team)).fold(f64::INFINITY, f64::min);
         let larger = own.max(nearest);
-        if larger > rounding { (nearest - own) / larger } else { 0.0 }
+        if larger <= SAME_PLACE * largest {
+            return (0.0, TOLERANCE);
+        }
+        ((nearest - own) / larger, TOLERANCE.max(DISTANCE_ROUNDING * largest / larger))
     };
     Some((0..points.len()).map(score).collect())
 }
@@ -146,11 +152,12 @@ fn agrees(report: &SilhouetteReport, points: &[Point<'_>]) -> bool {
     let Some(scores) = scores(points) else {
         return report.mean.is_none() && report.per_robot.is_empty() && report.per_team.is_empty();
     };
-    let near = |left: f64, right: f64| (left - right).abs() <= TOLERANCE;
-    let mean = |of: &[f64]| {
+    let near = |left: f64, (right, tolerance): (f64, f64)| (left - right).abs() <= tolerance;
+    let mean = |of: &[(f64, f64)]| {
         #[expect(clippy::cast_precision_loss, reason = "some robots")]
         let count = of.len() as f64;
-        of.iter().sum::<f64>() / count
+        let (values, tolerances): (Vec<f64>, Vec<f64>) = of.iter().copied().unzip();
+        (values.iter().sum::<f64>() / count, tolerances.iter().sum::<f64>() / count)
     };
     let same_robots = report.per_robot.len() == points.len()
         && report
@@ -159,7 +166,7 @@ fn agrees(report: &SilhouetteReport, points: &[Point<'_>]) -> bool {
             .zip(points.iter().zip(&scores))
             .all(|((robot, s), (point, wanted))| robot == point.0 && near(*s, *wanted));
     let same_teams = report.per_team.iter().all(|(team, s)| {
-        let of_team: Vec<f64> =
+        let of_team: Vec<(f64, f64)> =
             points.iter().zip(&scores).filter(|(p, _)| p.1 == team).map(|(_, s)| *s).collect();
         !of_team.is_empty() && near(*s, mean(&of_team))
     });
@@ -186,9 +193,10 @@ mod tests {
             (&robots[2], &teams[1], vec![4.0]),
         ];
         let scores = scores(&points).unwrap();
-        assert!((scores[0] - 0.75).abs() < 1e-15);
-        assert!((scores[1] - 2.0 / 3.0).abs() < 1e-15);
-        assert!(scores[2].abs() < 1e-15);
+        assert!((scores[0].0 - 0.75).abs() < 1e-15);
+        assert!((scores[1].0 - 2.0 / 3.0).abs() < 1e-15);
+        assert!(scores[2].0.abs() < 1e-15);
+        assert!(scores.iter().all(|(_, tolerance)| *tolerance <= TOLERANCE));
         assert_eq!(super::scores(&points[..2]), None);
     }
 }
