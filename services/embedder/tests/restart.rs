@@ -83,6 +83,30 @@ fn a_new_leader_goes_on_from_the_number_of_the_one_before() {
     assert_eq!(shape(bench.last()).teams, shown.teams);
 }
 
+/// Its first job is for an older roster than that of the embedding which others have, and the fleet is at rest when the next one ends.
+#[test]
+fn a_new_leader_publishes_what_the_one_before_has_published() {
+    let mut ingest = fleet(0.0);
+    let mut before = Bench::fresh();
+    let frames: Vec<_> = (0..20).map(|_| before.frame(&mut ingest)).collect();
+    let last = before.published.last().unwrap().clone();
+    assert!(last.roster > frames[0].roster.header.revision, "it was published again");
+    let answers = vec![muster_wire::Message::Embedding(last)];
+    let mut bench = Bench::started(EmbedderSettings::default(), answers);
+    bench.hold_jobs = true;
+    for frame in &frames {
+        bench.wait(0.1);
+        bench.deliver(frame);
+    }
+    bench.run_job();
+    assert!(bench.published.is_empty(), "its vectors are of a fleet that may have moved");
+    bench.hold_jobs = false;
+    for _ in 0..20 {
+        bench.frame(&mut ingest);
+    }
+    assert!(!bench.published.is_empty());
+}
+
 #[test]
 fn what_is_kept_and_no_shape_is_put_aside() {
     for kept in [b"{}".to_vec(), Vec::new(), vec![0xB7; 40]] {

@@ -125,6 +125,15 @@ fn a_term_that_no_clock_allows_is_refused_and_counted() {
     }
 }
 
+/// That one has received it of a leader that was lost before any other instance did.
+#[test]
+fn a_leader_begins_above_the_term_that_another_instance_has_stored() {
+    let begun = |stored: u64| term(&leading(at(RIGHT_S), 5, vec![small::settings(0, stored, 5)]));
+    assert_eq!(begun(9), 10);
+    assert_eq!(begun(3), 6);
+    assert_eq!(begun(MAX_REVISION - 1), 6, "no clock allows that one");
+}
+
 /// The highest term that is believed is followed by one more, which others believe a second later.
 #[test]
 fn a_forged_term_at_the_bound_does_not_leave_the_next_leader_refused() {

@@ -179,6 +179,27 @@ fn a_division_that_a_suspect_finished_is_published_whole_once_it_leads_again() {
     assert!(sent.changes().is_empty() && sent.division().changes.is_empty(), "reported once");
 }
 
+/// What it has made since may never be published.
+#[test]
+fn a_suspect_answers_with_the_division_that_others_have_received() {
+    let answered = |bench: &mut Bench| match &bench.get("teams", None).unwrap()[..] {
+        [Message::Teams { teams, .. }] => teams.header.revision,
+        other => panic!("{other:?}"),
+    };
+    let (mut bench, published) = divided(teams(3), &line(1, 200, 200));
+    bench.hold_jobs = true;
+    bench.receive_embedding(&line(2, 200, 150));
+    bench.input(Input::LinkLost);
+    bench.run_job();
+    assert_eq!(answered(&mut bench), published.header.revision);
+    bench.wait(2.0);
+    bench.take();
+    bench.input(Input::LinkRestored);
+    let since = bench.take().division().header.revision;
+    assert!(since > published.header.revision);
+    assert_eq!(answered(&mut bench), since);
+}
+
 /// What is remembered of robots and teams that are gone is forgotten after a minute, however many there were.
 #[test]
 fn ten_thousand_robots_come_and_go_with_flat_memory() {

@@ -44,7 +44,9 @@ impl Embedder {
             }
             return;
         }
-        if basis.at_rest && self.is_published(context.settings(), &computed) {
+        // One of the leader before says nothing of this one.
+        let has_published = self.published.is_some();
+        if has_published && basis.at_rest && self.is_published(context.settings(), &computed) {
             // Readers need not receive the same digits again.
             context.count("embeddings_confirmed");
             return;
