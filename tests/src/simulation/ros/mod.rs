@@ -410,7 +410,8 @@ impl World {
 
     /// A message of ROS reaches the process.
     fn sample(&mut self, ros: &mut Ros, sample: Arc<Sample>) {
-        if self.now < ros.bus_cut_until {
+        // What was put while no process ran does not wait for the next one.
+        if self.now < ros.bus_cut_until || ros.process.is_none() {
             return;
         }
         if self.now < ros.paused_until {
