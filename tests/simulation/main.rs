@@ -125,10 +125,10 @@ fn every_promise_holds_for_three_hundred_seeds() {
     assert!(total.events > SEEDS * 2000, "{}", total.events);
 }
 
-/// How many of the fresh seeds may break a promise: one of 13,565 did when they were last counted, and each such seed has a cause of
-/// its own. Of those that were found two still do: 2026112963565, where a viewer shows a team that has ended, and 2026112912581, where
-/// a change is lost that one of two leaders had confirmed.
-const KNOWN_FAILURES: usize = 1;
+/// How many of the fresh seeds may break a promise. None that was found still does, but of tens of thousands about one of
+/// 10,000 did when they were last run, each for a cause of its own: with none allowed, one run of a hundred would fail for
+/// something that no change has caused. What fails is printed in any case.
+const ALLOWED_FAILURES: usize = 1;
 
 /// Seeds that broke a promise once, and what it was.
 const ONCE_BROKEN: [(u64, &str); 75] = [
@@ -358,7 +358,7 @@ fn every_promise_holds_for_a_hundred_fresh_seeds() {
     for (seed, failed) in &summary.failed {
         writeln!(std::io::stderr(), "simulation: seed {seed} breaks a promise: {failed}").unwrap();
     }
-    assert!(summary.failed.len() <= KNOWN_FAILURES, "first {first}\n{}", summary.text());
+    assert!(summary.failed.len() <= ALLOWED_FAILURES, "first {first}\n{}", summary.text());
     assert_eq!(summary.runs, FRESH_SEEDS);
 }
 
