@@ -83,7 +83,8 @@ fn a_new_leader_goes_on_from_the_number_of_the_one_before() {
     assert_eq!(shape(bench.last()).teams, shown.teams);
 }
 
-/// Its first job is for an older roster than that of the embedding which others have, and the fleet is at rest when the next one ends.
+/// Its first job is for an older roster than that of the embedding which others have, and the fleet is at rest when the
+/// next one ends.
 #[test]
 fn a_new_leader_publishes_what_the_one_before_has_published() {
     let mut ingest = fleet(0.0);

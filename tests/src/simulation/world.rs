@@ -36,8 +36,8 @@ use super::{AGREEMENT_TICKS, Mutant, Scale, Stats, TICK};
 /// their terms with it, after five seconds and a heartbeat, and those of ROS draw a team around its robots with the next division.
 const AGREED_TIME: Micros = 8 * SECOND;
 
-/// How much longer where viewers of Foxglove watch: a slow one may be sent too much to be told that a team has ended, and draws
-/// it until its lifetime is over.
+/// How much longer where viewers of Foxglove watch: a slow one may not receive that a team has ended, and draws it until its
+/// lifetime is over.
 const DRAWN_TIME: Micros = SCENE_LIFETIME;
 
 /// How long after the storm nothing is about to change by itself any more: the last new superior is known

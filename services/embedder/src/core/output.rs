@@ -44,7 +44,7 @@ impl Embedder {
             }
             return;
         }
-        // One of the leader before says nothing of this one.
+        // What the leader before has published is no output of this one.
         let has_published = self.published.is_some();
         if has_published && basis.at_rest && self.is_published(context.settings(), &computed) {
             // Readers need not receive the same digits again.

@@ -101,8 +101,8 @@ impl MissedChanges {
         }
     }
 
-    /// Settings of a revision were adopted. Those of the same revision may be of before a change, or have it. Those of a new leader
-    /// may be of before it received what this instance had confirmed, as long as that is said (`are_own_said`).
+    /// Settings of a revision were adopted. Those of the same revision may be of before a change, or have it. A new leader
+    /// may not have received yet what this instance had confirmed, as long as that is said again (`are_own_said`).
     pub(crate) fn adopted(
         &mut self,
         revision: Revision,

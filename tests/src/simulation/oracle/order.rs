@@ -25,8 +25,8 @@ fn highest_term(now: Micros) -> u64 {
 /// How far clocks that are right to some seconds may be behind.
 const CLOCKS_BEHIND: Micros = 5 * SECOND;
 
-/// The highest term that every service believes, by clocks that are right to some seconds. One that goes above a term which was forged
-/// at the bound is believed by the last of them when the bound has risen so far.
+/// The highest term that every service believes, by clocks that are right to some seconds. A term above one that was forged
+/// at the bound is believed by the last of them once the bound has risen so far.
 fn term_believed_by_all(now: Micros) -> u64 {
     (BEGINNING + now).saturating_sub(CLOCKS_BEHIND) / SECOND + 2_147_483_648
 }
