@@ -10,6 +10,8 @@ use muster_tests::relay::Relay;
 use serde_json::Value;
 use tempfile::TempDir;
 
+use crate::pipeline::FORMED_WITHIN;
+
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "3", "--robots", "12"];
 
 /// How long the sites are apart: longer than a lease and a takeover, shorter than silent robots are kept, so that
@@ -18,8 +20,6 @@ const PARTITION_TIME: Duration = Duration::from_secs(7);
 
 /// How soon one leader is left once the sites are connected.
 const AGREED_WITHIN: Duration = Duration::from_secs(10);
-
-const FORMED_WITHIN: Duration = Duration::from_secs(20);
 
 /// One site: a router and an instance of each service.
 struct Site {

@@ -4,6 +4,7 @@
 //! cargo run -p muster-client --example console
 //! ```
 
+use std::pin::pin;
 use std::time::Duration;
 
 use futures_util::StreamExt as _;
@@ -32,6 +33,8 @@ async fn look() -> Result<(), Error> {
     }
     let mut changes = client.changes().await?;
     let mut verdict = None;
+    // One future for the whole loop: a signal that comes between two would be lost.
+    let mut interrupted = pin!(tokio::signal::ctrl_c());
     loop {
         tokio::select! {
             Some(change) = changes.next() => match change {
@@ -42,7 +45,7 @@ async fn look() -> Result<(), Error> {
                 Change::Event(event) => println!("{:?}", event.kind),
                 link => println!("{link:?}"),
             },
-            _ = tokio::signal::ctrl_c() => break,
+            _ = &mut interrupted => break,
         }
     }
     client.close().await;

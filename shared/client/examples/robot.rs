@@ -5,6 +5,7 @@
 //! MUSTER_FLEET=alpha MUSTER_CONNECT=tcp/10.0.0.1:7447 cargo run -p muster-client --example robot -- r2 50 0 r1
 //! ```
 
+use std::pin::pin;
 use std::time::Duration;
 
 use muster_client::model::teams::RobotTeam;
@@ -42,6 +43,8 @@ async fn drive(id: &str, middle: (f64, f64), superior: Option<&str>) -> Result<(
     let mut team = robot.team();
     let mut ticks = interval(Duration::from_millis(100));
     let start = Instant::now();
+    // One future for the whole loop: a signal that comes between two would be lost.
+    let mut interrupted = pin!(tokio::signal::ctrl_c());
     loop {
         tokio::select! {
             _ = ticks.tick() => {
@@ -50,7 +53,7 @@ async fn drive(id: &str, middle: (f64, f64), superior: Option<&str>) -> Result<(
                 robot.put_pose(Pose { heading: Some(angle), ..Pose::at(x, y) })?;
             }
             latest = team.changed() => print(&latest?),
-            _ = tokio::signal::ctrl_c() => break,
+            _ = &mut interrupted => break,
         }
     }
     robot.leave().await;

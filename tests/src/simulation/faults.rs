@@ -348,7 +348,7 @@ impl World {
             Message::Settings(announced) => raise(&mut announced.header),
             _ => return,
         }
-        self.oracle.forged(&message);
+        self.oracle.forged(&message, self.now);
         if let Some(packet) = packet(&self.space, &message, Format::Binary) {
             self.put(self.attacker(), packet);
         }

@@ -201,9 +201,9 @@ async fn the_examples_run_as_they_are_shown() {
         places.iter().map(|[name, x]| start("examples/robot", &[*name, *x, "0"])).collect();
     // The console asks for the settings once, and fails where no instance leads yet.
     let outside = cluster.client().await.unwrap();
-    let began = Instant::now();
     outside.until("service/clusterer/settings", FORMED_WITHIN, |_| true).await.unwrap();
     let console = start("examples/console", &[]);
+    let began = Instant::now();
     let shown = |process: &Process, words: &[&str]| {
         let output = process.output();
         words.iter().all(|word| output.contains(word))

@@ -239,8 +239,12 @@ impl Oracle {
         }
     }
 
-    /// An attacker puts a whole message of a service. It is there for others to name, like any other.
-    pub(crate) fn forged(&mut self, message: &Message) {
+    /// An attacker puts a whole message of a service. It is there for others to name, like any other, unless its term is one
+    /// that no reader believes.
+    pub(crate) fn forged(&mut self, message: &Message, now: Micros) {
+        if message.header().is_some_and(|header| header.revision.term > order::highest_term(now)) {
+            return;
+        }
         match message {
             Message::Roster(roster) => self.rosters.add(roster.header.revision, roster),
             Message::Embedding(embedding) => {

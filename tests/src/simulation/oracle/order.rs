@@ -18,7 +18,7 @@ const RENEWAL_DELAY: Micros = 100 * MS;
 
 /// The highest term that anybody may begin, by a clock that is right: 68 years ahead, and a minute for
 /// clocks that differ and leaders that follow each other.
-fn highest_term(now: Micros) -> u64 {
+pub(super) fn highest_term(now: Micros) -> u64 {
     (BEGINNING + now) / SECOND + 2_147_483_648 + 60
 }
 
