@@ -4,6 +4,7 @@
 //! before. In large fleets a frame renews only some of them; the others keep their modularity.
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use muster_model::settings::{ClustererSettings, Dimension};
@@ -20,8 +21,12 @@ use crate::error::MethodError;
 use crate::params::{DivisionParams, EmbeddingParams, Pace};
 use crate::team_count::{RESOLUTION, TeamEvidence, choose, gaps, scores};
 
-/// Starts of k-means for a division that no frame before has.
-const FIRST_STARTS: usize = 4;
+/// Starts of k-means for a division that no frame before has: the fewer robots, the more.
+const FIRST_STARTS: RangeInclusive<usize> = 4..=50;
+
+/// Robots times teams times columns, for all starts of such a division: less than a millisecond. Two processes that begin on
+/// the same graphs then find the same divisions of a few robots, and so the same number of teams, whatever their seeds.
+const FIRST_WORK: usize = 20_000;
 
 /// Starts besides the division of the frame before: with another seed in each frame, so that a better division
 /// is found within a few.
@@ -164,7 +169,7 @@ impl Candidates {
         let embedded = embed_powers(&svd.leading(rank.clamp(1, most))?, params.power, params.rows);
         let before = self.known.get(&teams).map(|known| &known.labels[..]);
         let division = DivisionParams {
-            restarts: if before.is_some() { LATER_STARTS } else { FIRST_STARTS },
+            restarts: before.map_or_else(|| first_starts(svd.nodes(), teams), |_| LATER_STARTS),
             seed: params.seed,
             hysteresis: 0.0,
             ..DivisionParams::new(&ClustererSettings::default(), teams as usize)
@@ -179,6 +184,11 @@ fn mean_modularity(graphs: &[(Modularity<'_>, f64)], labels: &[Option<usize>]) -
     let weights: f64 = graphs.iter().map(|(_, weight)| weight).sum();
     let sum: f64 = graphs.iter().map(|(graph, weight)| weight * graph.of(labels, RESOLUTION)).sum();
     if weights > 0.0 { sum / weights } else { 0.0 }
+}
+
+/// How many starts the first division of so many robots has.
+fn first_starts(robots: usize, teams: u32) -> usize {
+    (FIRST_WORK / work(robots, teams).max(1)).clamp(*FIRST_STARTS.start(), *FIRST_STARTS.end())
 }
 
 /// What a division of so many robots costs.
