@@ -484,6 +484,35 @@ async fn robots_of_ros_are_divided_by_one_command() {
     assert!(up.wait(SOON).unwrap().success(), "{}", up.output());
 }
 
+/// Whether a bridge runs that was told to connect to an endpoint.
+fn has_bridge(endpoint: &str) -> bool {
+    let processes = std::fs::read_dir("/proc").unwrap().flatten();
+    let mut lines = processes.filter_map(|entry| std::fs::read(entry.path().join("cmdline")).ok());
+    lines.any(|line| {
+        let line = String::from_utf8_lossy(&line);
+        line.contains("muster-ros2") && line.contains(endpoint)
+    })
+}
+
+#[test]
+fn a_bridge_ends_with_the_command_that_is_killed() {
+    let endpoint = muster_tests::cluster::free_endpoint().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let up = ["up", "--router", "--listen", &endpoint, "--with", "ros2"];
+    let quiet = ["--no-console", "--state-directory", "none"];
+    let mut up = Process::start("muster", &[&up[..], &quiet].concat(), &[], folder.path()).unwrap();
+    let until_bridge = |runs: bool| {
+        let start = Instant::now();
+        while has_bridge(&endpoint) != runs {
+            assert!(start.elapsed() < SOON, "a bridge runs: {}", !runs);
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    };
+    until_bridge(true);
+    up.kill().unwrap();
+    until_bridge(false);
+}
+
 #[test]
 fn the_measurement_of_a_fleet_of_ros_counts_every_message_and_sees_teams() {
     let arguments = ["--robots", "4", "--rate", "10", "--seconds", "5"];

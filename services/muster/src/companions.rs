@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use muster_runtime::config::{Mode, Origin, ProcessArgs, ProcessConfig, process_environment};
 use muster_runtime::exit::{Exit, ExitError};
-use muster_runtime::stop::Stop;
+use muster_runtime::stop::{ENDS_WITH_INPUT, Stop};
 
 /// How long a program may take to end before it is killed.
 const STOP_WITHIN: Duration = Duration::from_secs(3);
@@ -274,7 +274,8 @@ impl Process {
 
 fn spawn(path: &Path, flags: &[OsString]) -> std::io::Result<Child> {
     let mut command = Command::new(path);
-    command.args(flags).stdin(Stdio::null());
+    // A killed process can end no other: its pipe does.
+    command.args(flags).stdin(Stdio::piped()).env(ENDS_WITH_INPUT, "1");
     for variable in OWN_VARIABLES {
         command.env_remove(variable);
     }

@@ -142,6 +142,7 @@ where
     let result = runtime.block_on(async {
         let (stopper, stop) = stop::channel();
         stop::on_signals(stopper.clone())?;
+        stop::at_end_of_input(stopper.clone());
         job(config.clone(), stop).await
     });
     runtime.shutdown_timeout(SHUTDOWN_TIMEOUT);

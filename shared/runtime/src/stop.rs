@@ -1,5 +1,6 @@
 //! A clean end: signals and other reasons stop every task of the process.
 
+use std::io::Read as _;
 use std::time::Duration;
 
 use tokio::sync::watch;
@@ -9,6 +10,10 @@ use crate::exit::Exit;
 /// When a process that should stop, and has not, is ended whatever it does: service managers and
 /// operators expect a few seconds, and everything that must be kept is stored as it happens.
 const STOP_TIMEOUT: Duration = Duration::from_secs(4);
+
+/// The environment variable by which a process ends with its standard input. One that is started beside another has a pipe
+/// from it there, which the kernel closes however the other ends.
+pub const ENDS_WITH_INPUT: &str = "MUSTER_ENDS_WITH_INPUT";
 
 /// Stops tasks.
 #[derive(Debug, Clone)]
@@ -66,13 +71,30 @@ pub fn on_signals(stopper: Stopper) -> std::io::Result<()> {
             }
             asked = true;
             stopper.stop();
-            // A thread of its own: nothing that blocks the runtime keeps the process from ending.
-            std::thread::spawn(|| {
-                std::thread::sleep(STOP_TIMEOUT);
-                eprintln!("error: it did not stop in time and was ended");
-                std::process::exit(Exit::Failure as i32);
-            });
+            std::thread::spawn(end_late);
         }
     });
     Ok(())
+}
+
+/// Stops at the end of standard input, where [`ENDS_WITH_INPUT`] is set; else does nothing.
+pub fn at_end_of_input(stopper: Stopper) {
+    if std::env::var_os(ENDS_WITH_INPUT).is_none() {
+        return;
+    }
+    // Reading blocks, and nothing waits for this thread.
+    std::thread::spawn(move || {
+        let mut input = std::io::stdin().lock();
+        let mut unused = [0; 64];
+        while input.read(&mut unused).is_ok_and(|bytes| bytes > 0) {}
+        stopper.stop();
+        end_late();
+    });
+}
+
+/// Ends the process if it has not stopped in time. On a thread of its own nothing that blocks the runtime keeps it from that.
+fn end_late() {
+    std::thread::sleep(STOP_TIMEOUT);
+    eprintln!("error: it did not stop in time and was ended");
+    std::process::exit(Exit::Failure as i32);
 }
