@@ -484,7 +484,7 @@ async fn robots_of_ros_are_divided_by_one_command() {
     assert!(up.wait(SOON).unwrap().success(), "{}", up.output());
 }
 
-/// Whether a bridge runs that was told to connect to an endpoint.
+/// Whether a bridge runs whose flags name an endpoint.
 fn has_bridge(endpoint: &str) -> bool {
     let processes = std::fs::read_dir("/proc").unwrap().flatten();
     let mut lines = processes.filter_map(|entry| std::fs::read(entry.path().join("cmdline")).ok());

@@ -274,7 +274,7 @@ impl Process {
 
 fn spawn(path: &Path, flags: &[OsString]) -> std::io::Result<Child> {
     let mut command = Command::new(path);
-    // A killed process can end no other: its pipe does.
+    // If this process is killed, the end of its pipe ends the other.
     command.args(flags).stdin(Stdio::piped()).env(ENDS_WITH_INPUT, "1");
     for variable in OWN_VARIABLES {
         command.env_remove(variable);

@@ -24,7 +24,7 @@ use crate::team_count::{RESOLUTION, TeamEvidence, choose, gaps, scores};
 /// Starts of k-means for a division that no frame before has: the fewer robots, the more.
 const FIRST_STARTS: RangeInclusive<usize> = 4..=50;
 
-/// Robots times teams times columns, for all starts of such a division: less than a millisecond. Two processes that begin on
+/// Robots times teams times columns, for all starts of such a division: a fifth of [`WORK_AT_ONCE`]. Two processes that begin on
 /// the same graphs then find the same divisions of a few robots, and so the same number of teams, whatever their seeds.
 const FIRST_WORK: usize = 20_000;
 

@@ -49,7 +49,7 @@ fn teams_that_lost_their_leaders_are_still_teams() {
     }
 }
 
-/// A fleet in which no rule explains who is near whom, who hears whom and who answers to whom.
+/// A fleet whose places, links and superiors follow no rule.
 fn scattered(robots: usize, fleet: usize) -> Frame {
     let number = |i: usize, irrational: f64| ((fleet * 1000 + i + 1) as f64 * irrational).fract();
     let place = |robot: usize| [2.0_f64, 3.0].map(|axis| 10.0 * number(robot, axis.sqrt()));

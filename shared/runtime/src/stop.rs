@@ -1,6 +1,5 @@
 //! A clean end: signals and other reasons stop every task of the process.
 
-use std::io::Read as _;
 use std::time::Duration;
 
 use tokio::sync::watch;
@@ -11,8 +10,8 @@ use crate::exit::Exit;
 /// operators expect a few seconds, and everything that must be kept is stored as it happens.
 const STOP_TIMEOUT: Duration = Duration::from_secs(4);
 
-/// The environment variable by which a process ends with its standard input. One that is started beside another has a pipe
-/// from it there, which the kernel closes however the other ends.
+/// The environment variable by which a process ends with its standard input. What `muster up` starts has a pipe from it
+/// there, which the kernel closes however `muster up` ends.
 pub const ENDS_WITH_INPUT: &str = "MUSTER_ENDS_WITH_INPUT";
 
 /// Stops tasks.
@@ -84,9 +83,8 @@ pub fn at_end_of_input(stopper: Stopper) {
     }
     // Reading blocks, and nothing waits for this thread.
     std::thread::spawn(move || {
-        let mut input = std::io::stdin().lock();
-        let mut unused = [0; 64];
-        while input.read(&mut unused).is_ok_and(|bytes| bytes > 0) {}
+        // An input that cannot be read has ended as well.
+        let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
         stopper.stop();
         end_late();
     });
