@@ -28,7 +28,7 @@ pub use error::{EndpointError, OpenError};
 pub use foreign::RouterState;
 pub use get::{Answer, Ask, Target};
 pub use serve::{IncomingQuery, Query, Served};
-pub use shared::SharedBus;
+pub use shared::{MAX_SCOPES, SharedBus};
 pub use turns::Turns;
 /// A session of Zenoh, for callers that have one of their own.
 pub use zenoh::Session;

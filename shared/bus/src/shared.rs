@@ -31,6 +31,7 @@ use zenoh::qos::Priority;
 use zenoh::sample::{Sample, SampleKind};
 
 pub(crate) use self::routes::{FleetRoutes, ParticipantId};
+pub use self::scopes::MAX_SCOPES;
 use self::scopes::Scopes;
 use crate::bus::{Bus, ConnectTimeout, LINKS_NOT_FOLLOWED, Urgency, priority_of};
 use crate::config::BusConfig;

@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use muster_model::id::FleetId;
 use muster_model::limits::MAX_ID_LENGTH;
+use serde::{Deserialize, Deserializer};
 
 use crate::key::{Pattern, ROOT, below};
 
@@ -35,6 +36,13 @@ impl FromStr for FleetPattern {
             pattern = pattern.replace("**", "*");
         }
         Ok(Self(pattern))
+    }
+}
+
+impl<'de> Deserialize<'de> for FleetPattern {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        text.parse().map_err(serde::de::Error::custom)
     }
 }
 

@@ -3,6 +3,7 @@
 
 mod certificates;
 mod client;
+mod fleets;
 mod joining;
 mod members;
 mod refusals;
@@ -71,13 +72,22 @@ impl Secured {
         let fleet = fleet_file(folder.path(), r#""a1", "a2", "b1", "b2", "absent""#, routers);
         let members = std::fs::read_to_string(&fleet).unwrap();
         std::fs::write(&fleet, format!("protocol = \"{protocol}\"\n{members}")).unwrap();
+        let mut secured = Self::start_routers(folder, &fleet, routers);
+        for service in SERVICES {
+            secured.start_service(service);
+        }
+        secured
+    }
+
+    /// The routers of a fleet file, without services.
+    fn start_routers(folder: TempDir, fleet: &Path, routers: &[&str]) -> Self {
         let identities = folder.path().join("identities");
-        deploy(&["certs", "--fleet-file", text(&fleet), "--out", text(&identities)]);
+        deploy(&["certs", "--fleet-file", text(fleet), "--out", text(&identities)]);
         let mut secured = Self { services: Vec::new(), routers: Vec::new(), folder };
         for router in routers {
             let config = secured.folder.path().join(format!("{router}.json5"));
             let identity = identities.join(format!("router.{router}"));
-            let (file, identity) = (text(&fleet), text(&identity));
+            let (file, identity) = (text(fleet), text(&identity));
             let arguments = ["acl", "--fleet-file", file, "--router", router];
             let files = ["--identity", identity, "--out", text(&config)];
             deploy(&[&arguments[..], &files].concat());
@@ -86,9 +96,6 @@ impl Secured {
             let mut process = Process::start("muster", &arguments, &[], folder).unwrap();
             process.until_prints("router listens at", SOON).unwrap();
             secured.routers.push(process);
-        }
-        for service in SERVICES {
-            secured.start_service(service);
         }
         secured
     }
@@ -136,13 +143,18 @@ impl Secured {
 
 /// Connects with an identity, of which some values are changed.
 async fn open(identity: &Path, changes: &[(&str, &str)]) -> anyhow::Result<Client> {
+    open_in("alpha", identity, changes).await
+}
+
+/// The same with the keys of a fleet.
+async fn open_in(fleet: &str, identity: &Path, changes: &[(&str, &str)]) -> anyhow::Result<Client> {
     let fail = |error: zenoh::Error| anyhow::anyhow!("{error}");
     let mut config = zenoh::Config::from_file(identity).map_err(fail)?;
     config.insert_json5("connect/timeout_ms", REFUSED_WITHIN_MS).map_err(fail)?;
     for (key, value) in changes {
         config.insert_json5(key, value).map_err(fail)?;
     }
-    Client::open(config, "alpha").await
+    Client::open(config, fleet).await
 }
 
 /// Lets robots report until the operator sees two teams made of their reports from now on.

@@ -3,13 +3,13 @@
 //! A rule allows a message if its key expression includes that of the message. So no rule for one robot
 //! allows a put to `robot/*/pose`. A rule that denied it would match exactly such puts only.
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use muster_model::id::FleetId;
 use muster_runtime::exit::ExitError;
-use muster_wire::{KeySpace, Pattern};
+use muster_wire::{FleetPattern, Pattern};
 
 use super::certs::{AUTHORITY, CERTIFICATE, KEY, PUBLIC_MODE, SECRET_MODE, base64, read, write};
 use super::fleet::{FleetFile, Identity, PROTOCOLS, Router};
@@ -117,12 +117,13 @@ fn router_config(fleet: &FleetFile, router: &Router, tls: &Tls) -> anyhow::Resul
         serde_json::to_string(&before.map(|other| fleet.endpoint(other)).collect::<Vec<_>>())?;
     let head = PLAIN.lines().take_while(|line| line.starts_with("//")).count();
     let mut text = format!(
-        "// The Zenoh router {} of fleet {}, for networks that are not trusted: every client shows a certificate,
+        "// The Zenoh router {} of {}, for networks that are not trusted: every client shows a certificate,
 // and may do only what is allowed below. Made by `muster deploy acl` from the fleet file; change that one.
 //
 //   muster router --zenoh-config FILE        or Zenoh's own:  zenohd --config FILE
 ",
-        router.name, fleet.fleet
+        router.name,
+        of_fleets(fleet)
     );
     for line in PLAIN.lines().skip(head) {
         text.push_str(line);
@@ -142,6 +143,16 @@ fn router_config(fleet: &FleetFile, router: &Router, tls: &Tls) -> anyhow::Resul
         text = text.replace(place, part);
     }
     Ok(text)
+}
+
+/// Whose router it is, for people: a long list says no more than its length.
+fn of_fleets(file: &FleetFile) -> String {
+    const NAMED: usize = 5;
+    match file.fleets.len() {
+        1 => format!("fleet {}", file.names()),
+        count if count <= NAMED => format!("fleets {}", file.names()),
+        count => format!("{count} fleets"),
+    }
 }
 
 /// The part of the configuration that makes links use TLS with certificates on both sides.
@@ -182,7 +193,7 @@ fn access_control(fleet: &FleetFile) -> anyhow::Result<String> {
     let mut rules = Rules::default();
     let (mut subjects, mut policies) = (String::new(), String::new());
     let protocols = serde_json::to_string(&PROTOCOLS.map(|protocol| protocol.to_string()))?;
-    rules.shared(&fleet.fleet)?;
+    rules.shared(fleet)?;
     for identity in fleet.identities() {
         let name = fleet.common_name(&identity);
         let used = match Rights::of(fleet, &identity) {
@@ -245,7 +256,7 @@ impl Rules {
     }
 
     /// The rules that several identities share.
-    fn shared(&mut self, fleet: &FleetId) -> anyhow::Result<()> {
+    fn shared(&mut self, file: &FleetFile) -> anyhow::Result<()> {
         const ALL: [&str; 9] = [
             "put",
             "delete",
@@ -266,7 +277,11 @@ impl Rules {
         self.add("declarations", why, "\"egress\"", &messages, &everything)?;
         let why =
             "Who answers gets receives those of all identities that may get, wildcards included.";
-        let keys = [KeySpace::new(fleet.clone()).pattern(&Pattern::Everything)];
+        let fleets = file.fleets.iter().map(|fleet| FleetPattern::from(&fleet.name));
+        let served = file.hosts.iter().flat_map(|host| host.fleets.iter().cloned());
+        let fleets: BTreeSet<FleetPattern> = fleets.chain(served).collect();
+        let keys: Vec<String> =
+            fleets.iter().map(|fleet| fleet.keys(&Pattern::Everything)).collect();
         self.add("gets", why, "\"egress\"", &["query"], &keys)?;
         Ok(())
     }

@@ -55,7 +55,8 @@ const SECONDS_PER_DAY: i64 = 24 * 60 * 60;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Makes OUT/authority (keep its key.pem off the network: it can forge every identity), and for \
-each router, service, robot, operator, viewer and bridge a folder such as OUT/robot.r1 with certificate.pem, \
+each router, host, service, robot, operator, viewer and bridge a folder such as OUT/robot.r1 \
+(OUT/robot.r1.site-2 in another fleet of the file) with certificate.pem, \
 key.pem, authority.pem and, for clients, zenoh.json5, which embeds all of them. Valid \
 certificates are kept; the authority is never replaced.\n\nExamples:\n  \
 muster deploy certs --fleet-file fleet.toml --out identities\n  \
@@ -211,7 +212,7 @@ fn authority(fleet: &FleetFile, folder: &Path, out: &mut dyn Write) -> anyhow::R
             params.distinguished_name = rcgen::DistinguishedName::new();
             params
                 .distinguished_name
-                .push(DnType::CommonName, format!("muster authority {}", fleet.fleet));
+                .push(DnType::CommonName, format!("muster authority {}", fleet.first().name));
             params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
             params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
             (params.not_before, params.not_after) = validity(fleet.authority_days)?;
@@ -308,7 +309,7 @@ fn client_config(
     let endpoints: Vec<_> = fleet.routers.iter().map(|router| fleet.endpoint(router)).collect();
     let endpoints = serde_json::to_string(&endpoints)?;
     Ok(format!(
-        "// Zenoh's configuration of {identity} of fleet {fleet_name}. Keep it secret: it holds the key.
+        "// Zenoh's configuration of {identity} of {whose}. Keep it secret: it holds the key.
 {{
   // Whose file this is: operators command under this name.
   metadata: {{ identity: \"{identity}\" }},
@@ -342,7 +343,8 @@ fn client_config(
   }},
 }}
 ",
-        fleet_name = fleet.fleet,
+        identity = identity.in_fleet(),
+        whose = fleet.whose(identity),
         protocol = fleet.protocol,
         authority = base64(authority),
         certificate = base64(certificate),

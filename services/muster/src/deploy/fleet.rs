@@ -1,4 +1,4 @@
-//! The fleet file: the members of a secured fleet and their names.
+//! The fleet file: the members of secured fleets and their names.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -6,8 +6,10 @@ use std::net::IpAddr;
 use std::path::Path;
 
 use muster_model::id::{FleetId, Modality, RobotId, ServiceName, check_id};
+use muster_runtime::bus::MAX_SCOPES;
 use muster_runtime::exit::ExitError;
 use muster_runtime::store::read_at_most;
+use muster_wire::FleetPattern;
 use muster_wire::message::quoted;
 use serde::Deserialize;
 
@@ -31,6 +33,8 @@ const MAX_DAYS: u32 = 36_500;
 pub(super) enum Kind {
     /// Relays for all others, which trust it.
     Router,
+    /// Runs all services of several fleets in one process.
+    Host,
     /// One of the services; all its instances share the identity.
     Service,
     /// One robot.
@@ -47,6 +51,7 @@ impl fmt::Display for Kind {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str(match self {
             Self::Router => "router",
+            Self::Host => "host",
             Self::Service => "service",
             Self::Robot => "robot",
             Self::Operator => "operator",
@@ -63,12 +68,22 @@ pub(super) struct Identity {
     pub(super) kind: Kind,
     /// Its name among its kind.
     pub(super) name: String,
+    /// The fleet of which it is a member; none for the first of the file, and for routers and hosts, which are of all.
+    pub(super) fleet: Option<FleetId>,
 }
 
-/// `kind.name`. No name contains a dot, so the text is unique.
+impl Identity {
+    /// `kind.name`, which is unique in its fleet.
+    pub(super) fn in_fleet(&self) -> String {
+        format!("{}.{}", self.kind, self.name)
+    }
+}
+
+/// `kind.name`, followed by `.fleet` unless that is the first. No name contains a dot, so the text is unique.
 impl fmt::Display for Identity {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{}.{}", self.kind, self.name)
+        formatter.write_str(&self.in_fleet())?;
+        self.fleet.as_ref().map_or(Ok(()), |fleet| write!(formatter, ".{fleet}"))
     }
 }
 
@@ -129,17 +144,13 @@ fn refuse(field: impl Into<String>, problem: impl Into<String>) -> Result<(), Fl
     Err(FleetFileError::Field { field: field.into(), problem: problem.into() })
 }
 
-/// The content of a fleet file.
+/// One fleet and its members.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct FleetFile {
-    /// The fleet.
-    pub(super) fleet: FleetId,
-    /// Its routers, in the order in which clients try them.
-    pub(super) routers: Vec<Router>,
-    /// The protocol of links to routers.
-    #[serde(default)]
-    pub(super) protocol: Protocol,
+pub(super) struct Fleet {
+    /// Its name.
+    #[serde(rename = "fleet")]
+    pub(super) name: FleetId,
     /// Its robots.
     #[serde(default)]
     pub(super) robots: Vec<RobotId>,
@@ -161,12 +172,88 @@ pub(super) struct FleetFile {
     /// Whether robots may read `json/*` of the whole fleet.
     #[serde(default)]
     pub(super) robots_read_json: bool,
-    /// Validity of certificates in days.
+}
+
+/// A host that runs all services of several fleets in one process.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ServingHost {
+    /// Its name among the hosts.
+    pub(super) name: String,
+    /// The fleets that it may serve, as `muster up --fleets` has them.
+    pub(super) fleets: Vec<FleetPattern>,
+}
+
+/// The text of a fleet file: the first fleet stands at the top, each other one in a table of its own.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Text {
+    fleet: FleetId,
+    #[serde(default)]
+    robots: Vec<RobotId>,
+    #[serde(default = "all_services")]
+    services: Vec<ServiceName>,
+    #[serde(default)]
+    operators: Vec<String>,
+    #[serde(default)]
+    viewers: Vec<String>,
+    #[serde(default)]
+    bridges: Vec<String>,
+    #[serde(default)]
+    modalities: Vec<Modality>,
+    #[serde(default)]
+    robots_read_json: bool,
+    #[serde(default)]
+    fleets: Vec<Fleet>,
+    #[serde(default)]
+    hosts: Vec<ServingHost>,
+    routers: Vec<Router>,
+    #[serde(default)]
+    protocol: Protocol,
     #[serde(default = "default_certificate_days")]
+    certificate_days: u32,
+    #[serde(default = "default_authority_days")]
+    authority_days: u32,
+}
+
+/// The content of a fleet file.
+#[derive(Debug, Clone)]
+pub(super) struct FleetFile {
+    /// The fleets, at least one.
+    pub(super) fleets: Vec<Fleet>,
+    /// Hosts that serve several fleets.
+    pub(super) hosts: Vec<ServingHost>,
+    /// The routers, in the order in which clients try them.
+    pub(super) routers: Vec<Router>,
+    /// The protocol of links to routers.
+    pub(super) protocol: Protocol,
+    /// Validity of certificates in days.
     pub(super) certificate_days: u32,
     /// Validity of the certificate authority in days.
-    #[serde(default = "default_authority_days")]
     pub(super) authority_days: u32,
+}
+
+impl From<Text> for FleetFile {
+    fn from(text: Text) -> Self {
+        let first = Fleet {
+            name: text.fleet,
+            robots: text.robots,
+            services: text.services,
+            operators: text.operators,
+            viewers: text.viewers,
+            bridges: text.bridges,
+            modalities: text.modalities,
+            robots_read_json: text.robots_read_json,
+        };
+        Self {
+            fleets: std::iter::once(first).chain(text.fleets).collect(),
+            hosts: text.hosts,
+            routers: text.routers,
+            protocol: text.protocol,
+            certificate_days: text.certificate_days,
+            authority_days: text.authority_days,
+        }
+    }
 }
 
 fn default_port() -> u16 {
@@ -224,7 +311,7 @@ impl FleetFile {
     /// # Errors
     /// Names the field that is wrong, and the remedy.
     pub(super) fn parse(text: &str) -> Result<Self, FleetFileError> {
-        let file: Self = toml::from_str(text)?;
+        let file = Self::from(toml::from_str::<Text>(text)?);
         file.check()?;
         Ok(file)
     }
@@ -259,23 +346,51 @@ impl FleetFile {
                 return refuse(field, format!("must be 1 to {MAX_DAYS}, this is {days}"));
             }
         }
-        if let Some(modality) = self.modalities.iter().find(|modality| modality.is_built_in()) {
-            return refuse(
-                "modalities",
-                format!("{modality} is built in; name only declared ones"),
-            );
+        for host in &self.hosts {
+            if !(1..=MAX_SCOPES).contains(&host.fleets.len()) {
+                let problem = format!(
+                    "must be 1 to {MAX_SCOPES} names or patterns, these are {}; a pattern like site-* means many",
+                    host.fleets.len()
+                );
+                return refuse(format!("hosts.{}.fleets", quoted(&host.name)), problem);
+            }
         }
+        let mut names = BTreeSet::new();
+        for fleet in &self.fleets {
+            if !names.insert(&fleet.name) {
+                return refuse("fleets", format!("{} is named twice", fleet.name));
+            }
+            if let Some(modality) = fleet.modalities.iter().find(|one| one.is_built_in()) {
+                let problem = format!("{modality} is built in; name only declared ones");
+                return refuse(self.field("modalities", &fleet.name), problem);
+            }
+        }
+        self.check_identities()
+    }
+
+    /// A field of a fleet as it stands in the file.
+    fn field(&self, field: &str, fleet: &FleetId) -> String {
+        if *fleet == self.first().name {
+            field.to_owned()
+        } else {
+            format!("fleets.{fleet}.{field}")
+        }
+    }
+
+    fn check_identities(&self) -> Result<(), FleetFileError> {
         let mut named = BTreeSet::new();
         for identity in self.identities() {
             let field = match identity.kind {
                 Kind::Router => "routers",
+                Kind::Host => "hosts",
                 Kind::Service => "services",
                 Kind::Robot => "robots",
                 Kind::Operator => "operators",
                 Kind::Viewer => "viewers",
                 Kind::Bridge => "bridges",
             };
-            check_id(&identity.name).or_else(|error| refuse(field, error.to_string()))?;
+            let field = self.field(field, &self.fleet_of(&identity).name);
+            check_id(&identity.name).or_else(|error| refuse(&field, error.to_string()))?;
             let length = self.common_name(&identity).len();
             if length > MAX_COMMON_NAME {
                 let problem = format!(
@@ -292,22 +407,56 @@ impl FleetFile {
         Ok(())
     }
 
-    /// All identities of the fleet.
+    /// The first fleet, by whose name routers and hosts are certified.
+    pub(super) fn first(&self) -> &Fleet {
+        &self.fleets[0]
+    }
+
+    /// The fleet of which an identity is a member; the first for routers and hosts.
+    pub(super) fn fleet_of(&self, identity: &Identity) -> &Fleet {
+        let named = |fleet: &&Fleet| Some(&fleet.name) == identity.fleet.as_ref();
+        self.fleets.iter().find(named).unwrap_or_else(|| self.first())
+    }
+
+    /// The fleets of an identity, for people.
+    pub(super) fn whose(&self, identity: &Identity) -> String {
+        let host = self.hosts.iter().find(|host| host.name == identity.name);
+        match host.filter(|_| identity.kind == Kind::Host) {
+            Some(host) => {
+                let fleets: Vec<_> = host.fleets.iter().map(ToString::to_string).collect();
+                format!("fleets {}", fleets.join(", "))
+            }
+            None => format!("fleet {}", self.fleet_of(identity).name),
+        }
+    }
+
+    /// The names of all fleets, for people.
+    pub(super) fn names(&self) -> String {
+        self.fleets.iter().map(|fleet| fleet.name.as_str()).collect::<Vec<_>>().join(", ")
+    }
+
+    /// All identities of the file.
     pub(super) fn identities(&self) -> Vec<Identity> {
-        let of = |kind, name: &str| Identity { kind, name: name.to_owned() };
         let mut all = Vec::new();
-        all.extend(self.routers.iter().map(|router| of(Kind::Router, &router.name)));
-        all.extend(self.services.iter().map(|service| of(Kind::Service, service.as_str())));
-        all.extend(self.robots.iter().map(|robot| of(Kind::Robot, robot.as_str())));
-        all.extend(self.operators.iter().map(|name| of(Kind::Operator, name)));
-        all.extend(self.viewers.iter().map(|name| of(Kind::Viewer, name)));
-        all.extend(self.bridges.iter().map(|name| of(Kind::Bridge, name)));
+        let mut add = |kind, fleet: Option<&FleetId>, name: &str| {
+            all.push(Identity { kind, name: name.to_owned(), fleet: fleet.cloned() });
+        };
+        self.routers.iter().for_each(|router| add(Kind::Router, None, &router.name));
+        self.hosts.iter().for_each(|host| add(Kind::Host, None, &host.name));
+        for (at, fleet) in self.fleets.iter().enumerate() {
+            let name = (at > 0).then_some(&fleet.name);
+            fleet.services.iter().for_each(|service| add(Kind::Service, name, service.as_str()));
+            fleet.robots.iter().for_each(|robot| add(Kind::Robot, name, robot.as_str()));
+            fleet.operators.iter().for_each(|operator| add(Kind::Operator, name, operator));
+            fleet.viewers.iter().for_each(|viewer| add(Kind::Viewer, name, viewer));
+            fleet.bridges.iter().for_each(|bridge| add(Kind::Bridge, name, bridge));
+        }
         all
     }
 
     /// The common name of a certificate, by which routers identify its subject.
     pub(super) fn common_name(&self, identity: &Identity) -> String {
-        format!("{identity}.{}", self.fleet)
+        format!("{}.{}", identity.in_fleet(), self.fleet_of(identity).name)
     }
 
     /// A router by its name, or the only one.
@@ -348,7 +497,7 @@ mod tests {
     fn the_example_is_read() {
         let fleet = FleetFile::parse(EXAMPLE).unwrap();
         assert_eq!(fleet.identities().len(), 1 + 6 + 3 + 1 + 1);
-        let robot = Identity { kind: Kind::Robot, name: "r1".to_owned() };
+        let robot = Identity { kind: Kind::Robot, name: "r1".to_owned(), fleet: None };
         assert_eq!(fleet.common_name(&robot), "robot.r1.default");
         let router = fleet.router(None).unwrap();
         assert_eq!(fleet.endpoint(router), "quic/base.local:7447");
@@ -382,5 +531,48 @@ mod tests {
         assert_eq!(over_tcp.endpoint(&over_tcp.routers[0]), "tls/base.local:7447");
         assert!(with("\"quic\"", "\"tcp\"").contains("quic"));
         assert!(address.router(Some("other")).unwrap_err().message.contains("base"));
+    }
+
+    const TWO: &str = r#"
+        [[fleets]]
+        fleet = "site-2"
+        robots = ["r1"]
+        services = ["ingest"]
+
+        [[hosts]]
+        name = "base"
+        fleets = ["default", "site-*"]
+    "#;
+
+    #[test]
+    fn members_of_several_fleets_have_names_of_their_own() {
+        let file = FleetFile::parse(&format!("{EXAMPLE}{TWO}")).unwrap();
+        let names: Vec<(String, String)> = file
+            .identities()
+            .iter()
+            .map(|identity| (identity.to_string(), file.common_name(identity)))
+            .filter(|(text, _)| text.contains("r1") || text.contains("base"))
+            .collect();
+        let of = |text: &str, name: &str| (text.to_owned(), name.to_owned());
+        assert_eq!(
+            names,
+            [
+                of("router.base", "router.base.default"),
+                of("host.base", "host.base.default"),
+                of("robot.r1", "robot.r1.default"),
+                of("robot.r1.site-2", "robot.r1.site-2"),
+            ]
+        );
+        assert_eq!(file.names(), "default, site-2");
+        let with = |from: &str, to: &str| {
+            assert!(TWO.contains(from), "{from}");
+            let text = format!("{EXAMPLE}{}", TWO.replace(from, to));
+            FleetFile::parse(&text).unwrap_err().to_string()
+        };
+        assert!(with("\"site-2\"", "\"default\"").contains("fleets: default is named twice"));
+        assert!(with("[\"r1\"]", "[\"r1\", \"r1\"]").contains("fleets.site-2.robots: r1"));
+        assert!(with("\"default\", ", "\"a/b\", ").contains("a/b"));
+        assert!(with("\"default\", \"site-*\"", "").contains("hosts.base.fleets: must be 1"));
+        assert!(with("name = \"base\"", "name = \"b.c\"").contains("hosts: "));
     }
 }

@@ -13,9 +13,9 @@ use muster_model::id::{RobotId, ServiceName};
 use muster_model::observation::Stream;
 use muster_planner::Planner;
 use muster_service::{Authority, ServedKey, Wiring};
-use muster_wire::{Key, KeySpace, Pattern};
+use muster_wire::{FleetPattern, Key, KeySpace, Pattern};
 
-use super::fleet::{FleetFile, Identity, Kind};
+use super::fleet::{Fleet, FleetFile, Identity, Kind};
 
 /// What one identity may do. Everything else is denied.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -36,13 +36,19 @@ pub(super) struct Rights {
 
 impl Rights {
     /// The rights of an identity; none for a router, which is trusted with everything.
-    pub(super) fn of(fleet: &FleetFile, identity: &Identity) -> Option<Self> {
-        let space = KeySpace::new(fleet.fleet.clone());
+    pub(super) fn of(file: &FleetFile, identity: &Identity) -> Option<Self> {
+        let fleet = file.fleet_of(identity);
+        let space = KeySpace::new(fleet.name.clone());
         match identity.kind {
             Kind::Router => None,
+            Kind::Host => {
+                let host = file.hosts.iter().find(|host| host.name == identity.name);
+                host.map(|host| of_host(&host.fleets))
+            }
             Kind::Service => {
                 let named = |service: &&ServiceName| service.as_str() == identity.name;
-                fleet.services.iter().find(named).map(|service| of_service(&space, *service))
+                let text = |pattern: &Pattern| space.pattern(pattern);
+                fleet.services.iter().find(named).map(|service| of_service(&text, *service))
             }
             Kind::Robot => {
                 let named = |robot: &&RobotId| robot.as_str() == identity.name;
@@ -52,6 +58,22 @@ impl Rights {
             Kind::Viewer => Some(of_viewer(&space)),
             Kind::Bridge => Some(of_bridge(&space)),
         }
+    }
+
+    /// Each list sorted, without what is in it twice.
+    fn sorted(mut self) -> Self {
+        for list in [
+            &mut self.put,
+            &mut self.subscribe,
+            &mut self.get,
+            &mut self.reply,
+            &mut self.declare_token,
+            &mut self.watch_token,
+        ] {
+            list.sort_unstable();
+            list.dedup();
+        }
+        self
     }
 }
 
@@ -72,13 +94,14 @@ fn schema(space: &KeySpace) -> String {
     space.format(&Key::Schema)
 }
 
-fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
+/// The rights of a service; `text` writes keys of its fleet.
+fn of_service(text: &dyn Fn(&Pattern) -> String, service: ServiceName) -> Rights {
     let wiring = wiring(service);
     // The bus declares the keys of robots that have tokens, and no others.
     let robots = wiring.puts_robot_teams().then_some(Pattern::RobotTokens);
     let Wiring { subscriptions, tokens, served, fetched } = wiring;
     let texts = |patterns: &mut dyn Iterator<Item = Pattern>| -> Vec<String> {
-        patterns.map(|pattern| space.pattern(&pattern)).collect()
+        patterns.map(|pattern| text(&pattern)).collect()
     };
     let received = texts(&mut subscriptions.into_iter().map(|subscription| subscription.pattern));
     let fetched = texts(&mut fetched.into_iter());
@@ -88,34 +111,44 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
     };
     let outputs = texts(&mut served.iter().filter(is_output).map(|key| key.pattern.clone()));
     let answered = texts(&mut served.into_iter().map(|key| key.pattern));
-    let events = [Key::Event, Key::JsonEvent].map(|key| space.format(&key));
+    let events = [Key::Event, Key::JsonEvent].map(|key| text(&Pattern::One(key)));
     // Whoever reads what robots put tells them what it refuses.
-    let reads_robots = received.contains(&space.pattern(&Pattern::UnknownStreams));
-    let refusals = reads_robots.then(|| space.pattern(&Pattern::RobotRefusals));
+    let reads_robots = received.contains(&text(&Pattern::UnknownStreams));
+    let refusals = reads_robots.then(|| text(&Pattern::RobotRefusals));
 
-    let mut rights = Rights {
+    Rights {
         put: outputs.iter().chain(&events).cloned().chain(refusals).collect(),
         // At the start it gets what it subscribes to, and its own last output.
         get: [received.as_slice(), &outputs, &fetched].concat(),
         subscribe: received,
         reply: answered,
-        declare_token: vec![space.pattern(&Pattern::InstanceTokens(service))],
+        declare_token: vec![text(&Pattern::InstanceTokens(service))],
         watch_token: texts(&mut tokens.into_iter().chain(robots)),
-    };
-    for list in [
-        &mut rights.put,
-        &mut rights.subscribe,
-        &mut rights.get,
-        &mut rights.reply,
-        &mut rights.watch_token,
-    ] {
-        list.sort_unstable();
-        list.dedup();
     }
-    rights
+    .sorted()
 }
 
-fn of_robot(fleet: &FleetFile, space: &KeySpace, robot: &RobotId) -> Rights {
+/// One process has all services of the fleets: it puts and gets what any of them may. It receives, answers and watches each
+/// fleet as a whole, since it declares no key for each service, but a few for all.
+fn of_host(fleets: &[FleetPattern]) -> Rights {
+    let mut rights = Rights::default();
+    for fleet in fleets {
+        let text = |pattern: &Pattern| fleet.keys(pattern);
+        for service in ServiceName::ALL {
+            let of_service = of_service(&text, service);
+            rights.put.extend(of_service.put);
+            rights.get.extend(of_service.get);
+            rights.declare_token.extend(of_service.declare_token);
+        }
+        let everything = text(&Pattern::Everything);
+        rights.subscribe.push(everything.clone());
+        rights.reply.push(everything.clone());
+        rights.watch_token.push(everything);
+    }
+    rights.sorted()
+}
+
+fn of_robot(fleet: &Fleet, space: &KeySpace, robot: &RobotId) -> Rights {
     let key = |key: Key| space.format(&key);
     let team = key(Key::RobotTeam(robot.clone()));
     let refused = key(Key::RobotRefused(robot.clone()));
@@ -199,6 +232,7 @@ mod tests {
     use muster_model::time::Tick;
     use muster_service::{Command, Core, Host, Input, Start, Stored};
 
+    use super::super::fleet::ServingHost;
     use super::*;
 
     fn fleet() -> FleetFile {
@@ -215,7 +249,7 @@ mod tests {
     /// Whatever a core fetches at the start must be among what its service may get.
     fn check_start<C: Core>() {
         let start = Start {
-            fleet: fleet().fleet,
+            fleet: fleet().first().name.clone(),
             instance: InstanceId::new("test").unwrap(),
             now: Tick(1),
             settings: <C::Settings as Default>::default(),
@@ -226,7 +260,7 @@ mod tests {
         for command in Host::<C>::new(start).handle(Tick(1), Input::Started { linked: true }) {
             let Command::Ask(ask) = command else { continue };
             fetched += 1;
-            let text = KeySpace::new(fleet().fleet).pattern(&ask.pattern);
+            let text = KeySpace::new(fleet().first().name.clone()).pattern(&ask.pattern);
             assert!(may.get.contains(&text), "{} may not get {text}", C::SERVICE);
         }
         assert!(fetched > 0);
@@ -326,9 +360,9 @@ mod tests {
         assert!(may.reply.is_empty());
         assert_eq!(may.put.len(), 3);
         let mut fleet = fleet();
-        fleet.robots_read_json = true;
-        fleet.modalities = vec!["thermal".parse().unwrap()];
-        let robot = Identity { kind: Kind::Robot, name: "r1".to_owned() };
+        fleet.fleets[0].robots_read_json = true;
+        fleet.fleets[0].modalities = vec!["thermal".parse().unwrap()];
+        let robot = Identity { kind: Kind::Robot, name: "r1".to_owned(), fleet: None };
         let may = Rights::of(&fleet, &robot).unwrap();
         assert_eq!(may.put[3], "muster/v1/default/robot/r1/relation/thermal");
         assert!(may.subscribe.contains(&"muster/v1/default/json/teams".to_owned()));
@@ -337,8 +371,8 @@ mod tests {
     #[test]
     fn a_bridge_speaks_for_robots_and_reads_the_division() {
         let mut fleet = fleet();
-        fleet.bridges = vec!["ros2".to_owned()];
-        let bridge = Identity { kind: Kind::Bridge, name: "ros2".to_owned() };
+        fleet.fleets[0].bridges = vec!["ros2".to_owned()];
+        let bridge = Identity { kind: Kind::Bridge, name: "ros2".to_owned(), fleet: None };
         assert!(fleet.identities().contains(&bridge));
         let may = Rights::of(&fleet, &bridge).unwrap();
         let of = |tails: [&str; 3]| tails.map(|tail| format!("muster/v1/default/{tail}")).to_vec();
@@ -366,5 +400,59 @@ mod tests {
         };
         assert_eq!(commands(&operator), ["muster/v1/default/command/*/operator/*"]);
         assert!(commands(&viewer).is_empty());
+    }
+
+    #[test]
+    fn a_host_is_all_services_of_its_fleets_and_neither_a_robot_nor_an_operator() {
+        let mut file = fleet();
+        let fleets = ["site-*", "default"].map(|text| text.parse().unwrap()).to_vec();
+        file.hosts = vec![ServingHost { name: "base".to_owned(), fleets }];
+        let base = Identity { kind: Kind::Host, name: "base".to_owned(), fleet: None };
+        let may = Rights::of(&file, &base).unwrap();
+        for service in ServiceName::ALL {
+            let alone = rights(&format!("service.{service}"));
+            for (of_service, of_host) in [
+                (&alone.put, &may.put),
+                (&alone.get, &may.get),
+                (&alone.declare_token, &may.declare_token),
+            ] {
+                for key in of_service {
+                    let elsewhere = key.replacen("/default/", "/site-$*/", 1);
+                    assert!(of_host.contains(key) && of_host.contains(&elsewhere), "{key}");
+                }
+            }
+        }
+        let whole = ["muster/v1/default/**", "muster/v1/site-$*/**"];
+        for list in [&may.subscribe, &may.reply, &may.watch_token] {
+            assert_eq!(list, &whole);
+        }
+        let mut narrow = may.put.iter().chain(&may.get).chain(&may.declare_token);
+        assert!(!narrow.any(|key| key.contains("**")));
+        assert!(!may.put.iter().any(|key| key.ends_with("/pose")));
+        assert!(!may.declare_token.iter().any(|key| key.contains("/robot/")));
+    }
+
+    #[test]
+    fn members_of_another_fleet_have_their_rights_there() {
+        let more = "\n[[fleets]]\nfleet = \"site-2\"\nrobots = [\"r1\"]\n";
+        let text = format!("{}{more}", include_str!("../../../../deploy/fleet.toml"));
+        let file = FleetFile::parse(&text).unwrap();
+        let members: Vec<Identity> =
+            file.identities().into_iter().filter(|identity| identity.fleet.is_some()).collect();
+        assert_eq!(members.len(), 1 + ServiceName::ALL.len());
+        for identity in members {
+            let may = Rights::of(&file, &identity).unwrap();
+            let lists = [
+                &may.put,
+                &may.subscribe,
+                &may.get,
+                &may.reply,
+                &may.declare_token,
+                &may.watch_token,
+            ];
+            for key in lists.into_iter().flatten() {
+                assert!(key.starts_with("muster/v1/site-2/"), "{identity}: {key}");
+            }
+        }
     }
 }

@@ -6,7 +6,7 @@ use muster_wire::FleetPattern;
 
 /// Most patterns of fleets that have subscriptions of their own: a message is compared with each. Beyond them one
 /// pattern is received that all fit, and what is not served is dropped.
-const MAX_SCOPES: usize = 16;
+pub const MAX_SCOPES: usize = 16;
 
 /// The patterns that are received, each a scope with subscriptions of its own, and the fleets that are meant.
 #[derive(Debug)]
