@@ -9,7 +9,7 @@ mod wishing;
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
-use muster_division::division::{DivisionError, Job, divide, same_data};
+use muster_division::division::{DivisionError, Job, Staying, divide, same_data};
 use muster_division::identity::is_believable;
 use muster_division::memory::Memory;
 use muster_division::rules::{TeamRules, asks_alike};
@@ -67,8 +67,8 @@ struct Task {
     wished: BTreeSet<TeamId>,
     /// How many teams.
     teams: u32,
-    /// Whether robots stay in their last team because a team has just returned.
-    keeps_robots: bool,
+    /// Whether robots stay in their last team.
+    staying: Staying,
 }
 
 impl PartialEq for Task {
@@ -77,7 +77,7 @@ impl PartialEq for Task {
             && self.rules == other.rules
             && self.wished == other.wished
             && self.teams == other.teams
-            && self.keeps_robots == other.keeps_robots
+            && self.staying == other.staying
             && same_data(&self.source.embedding, &other.source.embedding)
     }
 }
@@ -172,20 +172,19 @@ impl Clusterer {
         }
         let newest = newest.clone();
         let rules = self.rules(&settings);
-        let Number { teams, is_same } =
+        let Number { teams, is_same, is_team_absent } =
             self.decide_number(now, &settings, rules.as_ref(), &newest.embedding);
         let wished = rules.as_ref().map(|rules| rules.wished(self.division.as_deref()));
         let wished = wished.unwrap_or_default();
         // Limits and wishes count at once, so that no robot is kept where there are any.
-        let keeps_robots = rules.is_none() && self.keeps_robots(now);
-        let task = Task {
-            source: newest.clone(),
-            settings,
-            rules: rules.clone(),
-            wished,
-            teams,
-            keeps_robots,
+        let staying = match rules {
+            Some(_) => Staying::None,
+            None if self.keeps_robots(now) => Staying::All,
+            None if is_team_absent => Staying::KeepingTeams,
+            None => Staying::None,
         };
+        let task =
+            Task { source: newest.clone(), settings, rules: rules.clone(), wished, teams, staying };
         if !self.flight.should_start(now, &task) {
             if self.flight.failure().is_none()
                 && let Some(published) = &mut self.published
@@ -204,10 +203,13 @@ impl Clusterer {
             teams,
             requested: teams.max(*task.settings.teams.range().start()),
             same_number: is_same,
-            returning: keeps_robots.then(|| {
-                let renewed = self.orders.renewed(now, self.roster.as_deref());
-                renewed.into_iter().cloned().collect()
-            }),
+            staying,
+            renewed: self
+                .orders
+                .renewed(now, self.roster.as_deref())
+                .into_iter()
+                .cloned()
+                .collect(),
             settings: task.settings.clone(),
             rules: rules.map(|rules| {
                 let previous = self.division.as_deref();
@@ -221,11 +223,11 @@ impl Clusterer {
         context.start_job(slot, job);
     }
 
-    /// Whether robots stay in their last team because a team has just returned: until no more robots of it are awaited, and,
-    /// where another number of teams is about to count by then, until it does. So they are divided again once, not twice.
+    /// Whether robots stay in their last team because a team has just returned, or others have just left: until no more of
+    /// these are awaited, and, where another number of teams is about to count by then, until it does. So they are divided again once, not twice.
     fn keeps_robots(&self, now: Tick) -> bool {
-        let kept = self.flight.completed().is_some_and(|last| last.keeps_robots);
-        self.arrivals.is_team_returning(now) || kept && self.count.due().is_some()
+        let kept = self.flight.completed().is_some_and(|last| last.staying == Staying::All);
+        self.arrivals.is_unsettled(now) || kept && self.count.due().is_some()
     }
 
     /// When a job may have to start although nothing was received.
@@ -234,11 +236,11 @@ impl Clusterer {
             self.flight.retry_at(),
             self.count.due(),
             self.keeping.gives_at(),
-            self.arrivals.settled_at(),
             self.awaits_until(),
         ];
         let is_to_come = |due: &Tick| self.considered_at.is_none_or(|at| *due > at);
-        due.into_iter().flatten().filter(is_to_come).min()
+        let due = due.into_iter().flatten().chain(self.arrivals.settled_at());
+        due.filter(is_to_come).min()
     }
 
     /// Keeps what has changed on disk, if that is due.

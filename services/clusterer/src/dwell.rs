@@ -60,18 +60,39 @@ impl CountDwell {
     }
 }
 
+/// A move that has not lasted for long enough.
+#[derive(Debug, Clone)]
+struct Pending {
+    /// The other team …
+    to: TeamId,
+    /// … and since when every division says so.
+    since: Tick,
+    /// Whether it began as other robots had just left.
+    is_by_loss: bool,
+}
+
+/// What has become of other robots.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Losses {
+    /// Until when a move that begins has the cause that some have left, and more may; none if none have lately.
+    pub(crate) recent_until: Option<Tick>,
+    /// Whether a whole team is absent.
+    pub(crate) of_a_team: bool,
+}
+
 /// Robots that a new division puts into another team, but not yet for long enough.
 #[derive(Debug, Default)]
 pub(crate) struct MoveDwell {
-    /// The other team, and since when every division says so.
-    pending: BTreeMap<RobotId, (TeamId, Tick)>,
+    pending: BTreeMap<RobotId, Pending>,
+    losses: Losses,
 }
 
 impl MoveDwell {
     /// Which robots stay in their team of the division before, although the new division has them in another.
     ///
     /// A change counts at once where the number of teams has changed, where one of the two teams is in only one
-    /// of the divisions, where the robot had no team or has none, and where it has new orders. No team is left
+    /// of the divisions, where the robot had no team or has none, and where it has new orders. What the loss of other
+    /// robots has caused waits while a whole team is absent: its return would undo it. No team is left
     /// without a robot by those who stay.
     pub(crate) fn hold(
         &mut self,
@@ -80,7 +101,10 @@ impl MoveDwell {
         new: &Teams,
         before: Option<&Teams>,
         renewed: &BTreeSet<&RobotId>,
+        losses: Losses,
     ) -> BTreeMap<RobotId, TeamId> {
+        self.losses = losses;
+        let are_recent = losses.recent_until.is_some_and(|until| now < until);
         let pending = std::mem::take(&mut self.pending);
         let mut held = BTreeMap::new();
         let Some(before) = before.filter(|before| {
@@ -96,10 +120,12 @@ impl MoveDwell {
             let Some(from) = from.filter(|_| known.contains(to) && !renewed.contains(robot)) else {
                 continue;
             };
-            let last = pending.get(robot).filter(|(team, _)| team == to);
-            let since = last.map_or(now, |(_, since)| *since);
-            if now < since.after(dwell) {
-                self.pending.insert(robot.clone(), (to.clone(), since));
+            let last = pending.get(robot);
+            let is_by_loss = last.map_or(are_recent, |last| last.is_by_loss);
+            let since = last.filter(|last| last.to == *to).map_or(now, |last| last.since);
+            let moves = Pending { to: to.clone(), since, is_by_loss };
+            if is_by_loss && (losses.of_a_team || are_recent) || now < since.after(dwell) {
+                self.pending.insert(robot.clone(), moves);
                 held.insert(robot.clone(), (*from).clone());
             }
         }
@@ -128,7 +154,13 @@ impl MoveDwell {
 
     /// When the first robot that stays has stayed for long enough.
     pub(crate) fn due(&self, dwell: Duration) -> Option<Tick> {
-        self.pending.values().map(|(_, since)| since.after(dwell)).min()
+        let waits = |moves: &&Pending| !(moves.is_by_loss && self.losses.of_a_team);
+        let due = |moves: &Pending| {
+            let due = moves.since.after(dwell);
+            let recent = self.losses.recent_until.filter(|_| moves.is_by_loss);
+            recent.map_or(due, |until| due.max(until))
+        };
+        self.pending.values().filter(waits).map(due).min()
     }
 
     /// How many robots stay.
@@ -198,7 +230,8 @@ mod tests {
     /// Who stays, as `a>t1`.
     fn held(dwell: &mut MoveDwell, ms: u64, new: &Teams, before: &Teams, renewed: &str) -> String {
         let renewed: Vec<RobotId> = renewed.split_whitespace().map(robot).collect();
-        let held = dwell.hold(at(ms), DWELL, new, Some(before), &renewed.iter().collect());
+        let renewed = renewed.iter().collect();
+        let held = dwell.hold(at(ms), DWELL, new, Some(before), &renewed, Losses::default());
         assert_eq!(dwell.robot_count(), held.len());
         held.iter().map(|(robot, team)| format!("{robot}>{team}")).collect::<Vec<_>>().join(" ")
     }
@@ -234,7 +267,9 @@ mod tests {
         assert_eq!(held(&mut dwell, 1400, &third, &before, ""), "m>t1");
         assert_eq!(held(&mut dwell, 1800, &third, &before, ""), "m>t1");
         assert_eq!(held(&mut dwell, 1900, &third, &before, ""), "");
-        let none = dwell.hold(at(0), Duration::ZERO, &third, Some(&before), &BTreeSet::new());
+        let losses = Losses::default();
+        let none =
+            dwell.hold(at(0), Duration::ZERO, &third, Some(&before), &BTreeSet::new(), losses);
         assert!(none.is_empty(), "no time is no dwell");
     }
 
@@ -252,12 +287,37 @@ mod tests {
         assert_eq!(held(&mut dwell, 0, &dead, &before, ""), "", "the old team is dead");
         let joined = division(&[("t1", "a b m"), ("t2", "n y z")]);
         assert_eq!(held(&mut dwell, 0, &joined, &before, ""), "", "it had no team");
-        assert!(dwell.hold(at(0), DWELL, &other, None, &BTreeSet::new()).is_empty());
+        let losses = Losses::default();
+        assert!(dwell.hold(at(0), DWELL, &other, None, &BTreeSet::new(), losses).is_empty());
         // Robots that leave are forgotten.
         assert_eq!(held(&mut dwell, 0, &other, &before, ""), "m>t1");
         let left = division(&[("t1", "a b"), ("t2", "y z")]);
         assert_eq!(held(&mut dwell, 0, &left, &before, ""), "");
         assert_eq!(dwell.robot_count(), 0);
+    }
+
+    #[test]
+    fn what_the_loss_of_a_team_causes_waits_until_it_is_not_absent_any_more() {
+        let before = division(&[("t1", "a b m"), ("t2", "y z n")]);
+        let other = division(&[("t1", "a b"), ("t2", "m y z n")]);
+        let both = division(&[("t1", "a b n"), ("t2", "m y z")]);
+        let mut dwell = MoveDwell::default();
+        let mut held = |ms, new: &Teams, recent_until: Option<u64>, of_a_team| {
+            let losses = Losses { recent_until: recent_until.map(at), of_a_team };
+            let held = dwell.hold(at(ms), DWELL, new, Some(&before), &BTreeSet::new(), losses);
+            let held: Vec<String> = held.keys().map(ToString::to_string).collect();
+            (held.join(" "), dwell.due(DWELL))
+        };
+        let m = "m".to_owned();
+        assert_eq!(held(0, &other, Some(6_000), true), (m.clone(), None));
+        assert_eq!(held(9_000, &other, Some(6_000), true), (m.clone(), None));
+        // What begins later has another cause.
+        assert_eq!(held(9_100, &both, Some(6_000), true), ("m n".to_owned(), Some(at(9_600))));
+        assert_eq!(held(9_600, &both, Some(6_000), true), (m, None));
+        assert_eq!(held(9_700, &other, Some(6_000), false), (String::new(), None));
+        // Without a whole team that is absent it waits until no more robots are about to leave.
+        assert_eq!(held(20_000, &other, Some(26_000), false), ("m".to_owned(), Some(at(26_000))));
+        assert_eq!(held(26_000, &other, Some(26_000), false), (String::new(), None));
     }
 
     #[test]

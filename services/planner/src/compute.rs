@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use muster_division::division::{self, divide};
+use muster_division::division::{self, Staying, divide};
 use muster_division::identity::moved;
 use muster_division::memory::Memory;
 use muster_division::needs::Needs;
@@ -276,7 +276,8 @@ fn divided(
         requested: teams.max(*settings.teams.range().start()),
         same_number: demand.current == Some(teams),
         // A proposal is what the fleet would be once it has settled.
-        returning: None,
+        staying: Staying::None,
+        renewed: BTreeSet::new(),
         settings: settings.clone(),
         rules: rules.map(resolved),
         previous: Some(basis.teams.clone()),

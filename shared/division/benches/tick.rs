@@ -6,11 +6,12 @@
 #[path = "../tests/vectors/mod.rs"]
 mod vectors;
 
+use std::collections::BTreeSet;
 use std::hint::black_box;
 use std::sync::Arc;
 
 use divan::Bencher;
-use muster_division::division::{Job, divide};
+use muster_division::division::{Job, Staying, divide};
 use muster_division::memory::Memory;
 use muster_division::needs::Needs;
 use muster_division::rules::{Asked, TeamRules};
@@ -75,7 +76,8 @@ fn job(robots: usize, teams: usize, moment: usize, asks: Asks, previous: Option<
         teams: teams as u32,
         requested: teams as u32,
         same_number: true,
-        returning: None,
+        staying: Staying::None,
+        renewed: BTreeSet::new(),
         previous: previous.map(Checked::new_unchecked),
         memory: Arc::new(Memory::default()),
     }

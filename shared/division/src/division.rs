@@ -37,13 +37,27 @@ pub struct Job {
     pub requested: u32,
     /// Whether those robots were in so many teams before.
     pub same_number: bool,
-    /// Set while the robots of a team return one after the other: those that have new orders. All others stay in
-    /// their last team, because the vectors of the first ones that return rest on few relations.
-    pub returning: Option<BTreeSet<RobotId>>,
+    /// Whether robots stay in their last team.
+    pub staying: Staying,
+    /// Robots that have new orders, and do not stay.
+    pub renewed: BTreeSet<RobotId>,
     /// The division that it goes on from; none if there is none.
     pub previous: Option<Checked<Teams>>,
     /// Teams that robots had before that.
     pub memory: Arc<Memory>,
+}
+
+/// Whether robots stay in their last team, whatever their vectors are.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Staying {
+    /// Their vectors decide.
+    #[default]
+    None,
+    /// All do, while the robots of a team leave or return one after the other: vectors rest on few relations then.
+    All,
+    /// All do where a team that is there would be divided, or put together with another one. A whole team is absent: its loss
+    /// has changed what the vectors of the others show, and its return would change it back.
+    KeepingTeams,
 }
 
 /// Why an embedding is not divided.
@@ -264,13 +278,37 @@ fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, DivisionError> {
     let Job { embedding, settings, .. } = job;
     let warm = job.previous.as_deref().filter(|_| job.same_number);
     let warm = warm.map(|previous| last_labels(previous, job));
-    if let (Some(renewed), Some(labels)) = (&job.returning, &warm)
-        && let Some(found) = stay(x, labels, renewed, job)?
+    if let (Staying::All, Some(labels)) = (job.staying, &warm)
+        && let Some(found) = stay(x, labels, job)?
     {
         return Ok(found);
     }
     let params = DivisionParams::new(settings, job.teams as usize).check()?;
-    Ok(divide_robots(x, &embedding.without_embedding, &params, warm.as_deref(), &mut |_| {})?)
+    let without = &embedding.without_embedding;
+    let found = divide_robots(x, without, &params, warm.as_deref(), &mut |_| {})?;
+    if let (Staying::KeepingTeams, Some(labels)) = (job.staying, &warm)
+        && !keeps_teams(labels, &found)
+        && let Some(found) = stay(x, labels, job)?
+    {
+        return Ok(found);
+    }
+    Ok(found)
+}
+
+/// Whether each team has most of its robots in a cluster of its own.
+fn keeps_teams(last: &[Option<usize>], found: &Division) -> bool {
+    let mut robots: BTreeMap<usize, BTreeMap<usize, usize>> = BTreeMap::new();
+    for (last, now) in last.iter().zip(&found.labels) {
+        if let (Some(last), Some(now)) = (last, now) {
+            *robots.entry(*last).or_default().entry(*now).or_default() += 1;
+        }
+    }
+    let mut taken = BTreeSet::new();
+    robots.values().all(|clusters| {
+        let all: usize = clusters.values().sum();
+        let most = clusters.iter().find(|(_, count)| **count * 2 > all);
+        most.is_some_and(|(cluster, _)| taken.insert(*cluster))
+    })
 }
 
 /// Every robot in its last team, but for those that have none or have new orders: these are in the nearest one.
@@ -278,11 +316,10 @@ fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, DivisionError> {
 fn stay(
     x: &DenseMatrix,
     last: &[Option<usize>],
-    renewed: &BTreeSet<RobotId>,
     job: &Job,
 ) -> Result<Option<Division>, DivisionError> {
     let embedding = &*job.embedding;
-    let stays = |row: usize| last[row].filter(|_| !renewed.contains(&embedding.robots[row]));
+    let stays = |row: usize| last[row].filter(|_| !job.renewed.contains(&embedding.robots[row]));
     let mut labels: Vec<Option<usize>> = (0..last.len()).map(stays).collect();
     let teams = job.teams as usize;
     let filled: BTreeSet<usize> = labels.iter().flatten().copied().collect();

@@ -44,6 +44,8 @@ pub struct Demand {
     pub wanted: TeamCount,
     /// How many teams these robots were in; none if there is no division to go on from.
     pub current: Option<u32>,
+    /// How many teams have a seat and no robot that is there.
+    pub absent: u32,
 }
 
 /// What evidence and rules say of the number of teams.
@@ -89,8 +91,8 @@ impl Situation<'_> {
         let last = self.division.filter(|division| !division.teams.is_empty());
         let seats = Seats::of(self.division, self.memory, self.vacant, &reserved, self.embedding);
         let current = seats.current(last.map(|division| division.requested));
-        let wanted = seats.wanted(self.now, teams, current, &mut self.arrivals);
-        Demand { wanted, current }
+        let wanted = seats.wanted(self.now, teams, rules.is_some(), current, &mut self.arrivals);
+        Demand { wanted, current, absent: seats.absent }
     }
 
     /// What evidence and rules say of the number of teams; notes who came.

@@ -1,5 +1,7 @@
 //! Seats: while a whole team is absent its place is kept, so that the robots that are there are divided into
-//! the number of teams less those that are absent, and no robot has to fill a place that is only empty for now.
+//! the number of teams less those that are absent, and no robot has to fill a place that is only empty for now. That holds
+//! also where the number of teams is chosen: what the relations of the others show without those of the absent team is no
+//! evidence of how many they are.
 //!
 //! A team is absent while none of its robots is in the embedding: their link is cut, or the services have just
 //! been started and hear one robot after the other. Its seat is kept for as long as the team is remembered
@@ -23,6 +25,11 @@ use muster_model::time::Tick;
 
 use crate::memory::{Memory, TEAM_MEMORY_TIME};
 
+/// For how long after robots have left the number of teams stays, and each of the others in its team: the robots of a team
+/// leave within a second or two, and until all have, the vectors of the others show what is left of it. The next such time begins
+/// after another one at the earliest, so that a fleet of which robots leave all the time is divided as well.
+const LOSS_TIME: Duration = Duration::from_secs(3);
+
 /// For how long after robots came that no team knows the evidence decides whether they get a free seat, and after
 /// a team returned it has its seat: the robots of a team come within a second or two, one after the other.
 const SETTLE_TIME: Duration = Duration::from_secs(3);
@@ -38,6 +45,8 @@ pub struct Seats {
     returning: u32,
     /// Whether there are robots that no team knows.
     newcomers: bool,
+    /// Whether robots of the last division are not there any more.
+    have_left: bool,
 }
 
 impl Seats {
@@ -59,7 +68,9 @@ impl Seats {
             .map(|(_, last)| last)
             .collect();
         let newcomers = last_of.contains(&None);
-        let mut seats = Self { newcomers, absent: vacant, ..Self::default() };
+        let mut members = division.assignments().map(|(robot, _)| robot);
+        let have_left = members.any(|robot| embedding.robots.binary_search(robot).is_err());
+        let mut seats = Self { newcomers, have_left, absent: vacant, ..Self::default() };
         let occupied: BTreeSet<&TeamId> = last_of.into_iter().flatten().collect();
         for team in &division.teams {
             if occupied.contains(&team.id) {
@@ -96,11 +107,13 @@ impl Seats {
     }
 
     /// The number of teams that is wanted of the robots that are there, while absent teams keep their seats and
-    /// those that have just returned have theirs.
+    /// those that have just returned have theirs. Where rules are to hold (`has_rules`), a number that is chosen is not kept
+    /// for absent teams: it may be one that the others cannot obey them with.
     pub fn wanted(
         &self,
         now: Tick,
         wanted: TeamCount,
+        has_rules: bool,
         current: Option<u32>,
         arrivals: &mut Arrivals,
     ) -> TeamCount {
@@ -110,15 +123,20 @@ impl Seats {
         if self.returning > 0 {
             arrivals.returned = Some(now);
         }
+        if self.have_left && arrivals.loss_ends_at().is_none_or(|end| now >= end) {
+            arrivals.lost = Some(now);
+        }
         let less = |teams: u32| teams.saturating_sub(self.absent).max(1);
+        let range = wanted.range();
+        let (from, to) = (less(*range.start()), *range.end());
+        let is_given = matches!(wanted, TeamCount::Fixed(_));
+        let may_keep = (is_given || !has_rules) && !settles(arrivals.newcomers, now);
+        let is_unsettled = !has_rules && arrivals.is_unsettled(now);
         let seated = match (wanted, current) {
-            _ if self.absent == 0 => wanted,
+            _ if self.absent == 0 && !is_unsettled => wanted,
+            (_, Some(current)) if may_keep => TeamCount::Fixed(current.clamp(from, to)),
             (TeamCount::Auto, _) => wanted,
-            (TeamCount::Between { from, to }, _) => TeamCount::Between { from: less(from), to },
-            (TeamCount::Fixed(teams), Some(current)) if !settles(arrivals.newcomers, now) => {
-                TeamCount::Fixed(current.clamp(less(teams), teams))
-            }
-            (TeamCount::Fixed(to), _) => TeamCount::Between { from: less(to), to },
+            (TeamCount::Between { .. } | TeamCount::Fixed(_), _) => TeamCount::Between { from, to },
         };
         if matches!(seated, TeamCount::Fixed(_)) || !settles(arrivals.returned, now) {
             return seated;
@@ -165,26 +183,34 @@ impl Vacancies {
     }
 }
 
-/// Who came lately.
+/// Who came and left lately.
 #[derive(Debug, Clone, Default)]
 pub struct Arrivals {
     /// When robots were last there that no team knew.
     newcomers: Option<Tick>,
     /// When the first robots of a team that had been absent were last there again.
     returned: Option<Tick>,
+    /// When the first robots left of those that are counted together.
+    lost: Option<Tick>,
 }
 
 impl Arrivals {
-    /// Whether a team has returned of which more robots may follow.
+    /// Whether a team has returned of which more robots may follow, or robots have left that others may follow.
     #[must_use]
-    pub fn is_team_returning(&self, now: Tick) -> bool {
-        settles(self.returned, now)
+    pub fn is_unsettled(&self, now: Tick) -> bool {
+        settles(self.returned, now) || self.lost.is_some_and(|lost| now.since(lost) < LOSS_TIME)
     }
 
-    /// When the robots of the team that returned last are no longer waited for; none if no team has returned.
+    /// Until when a move of another robot that begins has the cause that robots have left; none if none have.
     #[must_use]
-    pub fn settled_at(&self) -> Option<Tick> {
-        Some(self.returned?.after(SETTLE_TIME))
+    pub fn loss_ends_at(&self) -> Option<Tick> {
+        Some(self.lost?.after(2 * LOSS_TIME))
+    }
+
+    /// When robots that may follow those that returned or left last are no longer waited for; empty if there are none.
+    pub fn settled_at(&self) -> impl Iterator<Item = Tick> {
+        let returned = self.returned.map(|returned| returned.after(SETTLE_TIME));
+        returned.into_iter().chain(self.lost.map(|lost| lost.after(LOSS_TIME)))
     }
 }
 

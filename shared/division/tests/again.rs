@@ -4,9 +4,10 @@
 
 mod vectors;
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use muster_division::division::{Job, divide};
+use muster_division::division::{Job, Staying, divide};
 use muster_division::memory::Memory;
 use muster_division::needs::Needs;
 use muster_division::rules::{Asked, TeamRules};
@@ -68,7 +69,8 @@ impl Fleet {
             teams: self.teams as u32,
             requested: self.teams as u32,
             same_number: true,
-            returning: None,
+            staying: Staying::None,
+            renewed: BTreeSet::new(),
             previous: previous.cloned().map(Checked::new_unchecked),
             memory: Arc::new(Memory::default()),
         };

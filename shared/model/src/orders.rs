@@ -36,11 +36,15 @@ impl NewOrders {
         self.changed.retain(|robot, at| !is_past(now, *at) && place(robot).is_ok());
         self.joined.retain(|robot, at| now < at.after(JOINING_TIME) && place(robot).is_ok());
         let mut old = before.into_iter().flat_map(|before| &before.robots).peekable();
-        for RosterEntry { robot, superior, .. } in &after.robots {
+        for RosterEntry { robot, superior, position, .. } in &after.robots {
             while old.next_if(|entry| entry.robot < *robot).is_some() {}
             let known = old.peek().filter(|entry| entry.robot == *robot);
             match known {
                 None => {
+                    self.joined.insert(robot.clone(), now);
+                }
+                // It has left and come back between the two: nothing that it reported before is known.
+                Some(entry) if entry.position.is_some() && position.is_none() => {
                     self.joined.insert(robot.clone(), now);
                 }
                 Some(entry) if entry.superior == *superior => {}
@@ -166,6 +170,13 @@ mod tests {
         // Later it is one, for a robot at the top as well.
         orders.follow(at(6000), Some(&ranked), &top);
         assert_eq!(orders.changed(at(6000)).collect::<Vec<_>>(), [&robot("c")]);
+        // Nor is the rank of one that has left and come back between two rosters.
+        let mut placed = ranked.clone();
+        placed.robots[1].position = Some([0.0; 3]);
+        orders.follow(at(20_000), Some(&top), &placed);
+        orders.follow(at(20_100), Some(&placed), &roster("a b c"));
+        orders.follow(at(21_000), Some(&roster("a b c")), &placed);
+        assert_eq!(orders.changed(at(21_000)).collect::<Vec<_>>(), [&robot("c")]);
         // And so is another rank at any time.
         let mut orders = NewOrders::default();
         orders.follow(at(0), None, &ranked);

@@ -1,9 +1,9 @@
 //! The teams of a problem under limits, wishes and needs, by the code of the live division.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use muster_division::division::{self, Job};
+use muster_division::division::{self, Job, Staying};
 use muster_division::memory::Memory;
 use muster_division::needs::Needs;
 use muster_division::number::Situation;
@@ -112,7 +112,8 @@ pub(super) fn divide(
         teams: number,
         requested: number.max(*settings.teams.range().start()),
         same_number: false,
-        returning: None,
+        staying: Staying::None,
+        renewed: BTreeSet::new(),
         previous: None,
         memory: Arc::new(memory.clone()),
     };

@@ -19,6 +19,8 @@ pub(super) struct Number {
     pub(super) teams: u32,
     /// Whether these robots were in as many before.
     pub(super) is_same: bool,
+    /// Whether a whole team is absent.
+    pub(super) is_team_absent: bool,
 }
 
 impl Clusterer {
@@ -46,7 +48,8 @@ impl Clusterer {
             made.settings != *settings || !asks_alike(made.rules.as_ref(), rules)
         });
         let teams = self.count.decide(now, demand.wanted, shown, last, is_asked_for);
-        Number { teams, is_same: demand.current == Some(teams) }
+        let is_same = demand.current == Some(teams);
+        Number { teams, is_same, is_team_absent: demand.absent > 0 }
     }
 
     /// Refuses settings whose limits nothing satisfies for the robots that are there.

@@ -17,6 +17,7 @@ use muster_model::time::{Tick, seconds};
 use muster_wire::Message;
 
 use super::{Clusterer, Context, Published, Received, Undecided, View};
+use crate::dwell::Losses;
 use crate::leader::leaders;
 use crate::publishing::{robots_to_inform, shortage};
 use crate::replacement::filled;
@@ -32,6 +33,7 @@ impl Clusterer {
         let now = context.now();
         let before = self.division.clone();
         let dwell = seconds(context.settings().dwell_s);
+        let vacant = self.vacancies.count(now, Some(&new));
         let renewed = self.orders.renewed(now, self.roster.as_deref());
         let seated = before.as_deref().and_then(|before| reseated(before, &new));
         let seated = seated.as_ref().or(before.as_deref());
@@ -42,7 +44,12 @@ impl Clusterer {
         let stands = new.limited.as_ref().is_some_and(Limited::stands);
         // A division that stands because nothing satisfies the rules has no noise to wait out.
         let dwell = if stands { Duration::ZERO } else { dwell };
-        let mut held = self.moves.hold(now, dwell, &new, seated, &renewed);
+        // Limits and wishes count at once.
+        let losses = match rules {
+            Some(_) => Losses::default(),
+            None => self.losses(vacant, &source.embedding),
+        };
+        let mut held = self.moves.hold(now, dwell, &new, seated, &renewed, losses);
         if let Some(rules) = &rules
             && !held.is_empty()
         {
@@ -73,6 +80,13 @@ impl Clusterer {
         self.undecided = (!held.is_empty()).then(|| Box::new(undecided));
         Arc::make_mut(&mut self.memory).follow(now, before.as_deref(), &teams);
         self.publish(context, teams, source);
+    }
+
+    /// What has become of the robots of the last division, by the robots that are embedded now.
+    fn losses(&self, vacant: u32, embedding: &Embedding) -> Losses {
+        let before = self.division.as_deref();
+        let seats = Seats::of(before, &self.memory, vacant, &BTreeSet::new(), embedding);
+        Losses { recent_until: self.arrivals.loss_ends_at(), of_a_team: seats.absent > 0 }
     }
 
     /// When robots that were kept in their team may be published elsewhere.

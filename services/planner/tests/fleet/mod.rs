@@ -3,10 +3,10 @@
 // Clippy's allowance for tests ends at `#[test]`.
 #![allow(clippy::unwrap_used, clippy::panic, dead_code, unreachable_pub)]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use muster_division::division::{Job, divide};
+use muster_division::division::{Job, Staying, divide};
 use muster_division::memory::Memory;
 use muster_division::needs::Needs;
 use muster_division::number::Situation;
@@ -289,7 +289,8 @@ impl Fleet {
             teams: number.best(),
             requested: number.best(),
             same_number: number.demand.current == Some(number.best()),
-            returning: None,
+            staying: Staying::None,
+            renewed: BTreeSet::new(),
             settings: self.clusterer.clone(),
             rules,
             previous,
