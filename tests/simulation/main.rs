@@ -9,6 +9,7 @@
 
 use std::collections::BTreeSet;
 use std::io::Write as _;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -74,6 +75,7 @@ fn every_promise_holds_for_three_hundred_seeds() {
         "blackout",
         "blackout without disks",
         "power cut",
+        "team cut off",
         "busy hosts",
         "forged term",
         "hang",
@@ -514,6 +516,10 @@ fn every_mutant_is_found_and_its_run_made_short() {
         (Mutant::UnbelievedTerm, vec!["no service begins a term that others do not believe"]),
         (Mutant::Forgetful, vec!["a restart of everything changes no team"]),
         (
+            Mutant::Rearranging,
+            vec!["a team that is cut off moves nobody else, and comes back as what it was"],
+        ),
+        (
             Mutant::StarvedEmbedder,
             vec![
                 "on busy hosts a division is never older than ten times what its stages take alone",
@@ -576,6 +582,16 @@ fn every_mutant_is_found_and_its_run_made_short() {
             Mutant::Wordy,
             vec!["a viewer that reads misses nothing", "a topic has at most ten scenes a second"],
         ),
+        (Mutant::Reticent, vec!["a host announces where its instance stands"]),
+        (Mutant::Twofold, vec!["every get is answered once"]),
+        (Mutant::Hasty, vec!["an answer waits for what was stored before"]),
+        (Mutant::Voluble, vec!["what is published fits its key"]),
+        (Mutant::Garbled, vec!["a robot can read the team that it is sent"]),
+        (Mutant::Corrupting, vec!["what is kept can be read again"]),
+        (Mutant::Eager, vec!["no core and no job panics or breaks its contract"]),
+        (Mutant::Falsifying, vec!["what is recorded is what was published"]),
+        (Mutant::Prophetic, vec!["ROS is shown what was published"]),
+        (Mutant::Unmannerly, vec!["a bridge puts what a fleet takes"]),
         // Readers refuse a list in which an alert stands twice.
         (Mutant::Doubled, vec!["what a service publishes, others understand"]),
         (Mutant::Meddling, vec!["a planner publishes nothing that others go by"]),
@@ -604,6 +620,64 @@ fn every_mutant_is_found_and_its_run_made_short() {
             });
         }
     });
+}
+
+/// Promises that no mutant breaks, and why.
+const UNBROKEN: [&str; 2] = [
+    // The judge itself would have to go on for ever.
+    "a run ends",
+    // A host counts its timers by itself, and ends with an error before.
+    "a core that waits names a moment to come",
+];
+
+/// The text of a literal that a source goes on with.
+fn literal(source: &str) -> Option<&str> {
+    source.trim_start().strip_prefix('"')?.split('"').next()
+}
+
+/// The promises of a part of a source, and the names of their constants.
+fn promises(source: &str) -> Vec<(&str, &str)> {
+    let after = |mark| source.split(mark).skip(1);
+    let direct = ["breach(", "promise: ", "promise = "].into_iter().flat_map(after);
+    let named = after("const ").filter_map(|rest| {
+        let (name, rest) = rest.split_once(": &str =")?;
+        Some((literal(rest)?, name))
+    });
+    let all = direct.filter_map(literal).map(|text| (text, text)).chain(named);
+    // Other texts are words.
+    all.filter(|(text, _)| text.matches(' ').count() > 1).collect()
+}
+
+#[test]
+fn every_promise_is_broken_by_a_mutant_or_a_test() {
+    let mut sources = Vec::new();
+    let mut folders = vec![PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/src/simulation"))];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            match path.is_dir() {
+                true => folders.push(path),
+                false => sources.push(std::fs::read_to_string(path).unwrap()),
+            }
+        }
+    }
+    let (_, mutants) = include_str!("main.rs").split_once("fn every_mutant_is_found").unwrap();
+    let (mutants, _) = mutants.split_once("\n}\n").unwrap();
+    let parts: Vec<(&str, &str)> = sources
+        .iter()
+        .map(|source| source.split_once("#[cfg(test)]\nmod tests").unwrap_or((source, "")))
+        .collect();
+    let mut count = 0;
+    for (code, own_tests) in &parts {
+        for (promise, name) in promises(code) {
+            count += 1;
+            let is_broken = mutants.contains(promise)
+                || parts.iter().any(|(_, tests)| tests.contains(promise))
+                || own_tests.contains(name);
+            assert!(is_broken != UNBROKEN.contains(&promise), "nothing breaks {promise:?}");
+        }
+    }
+    assert!(count > 60, "{count} promises");
 }
 
 /// Finds a mutant by one of these promises, and requires that its run is made short.

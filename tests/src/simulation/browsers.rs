@@ -163,6 +163,15 @@ impl Browsers {
         }
     }
 
+    /// Whoever commands is an operator at an open browser.
+    fn check_operator(&self, operator: &OperatorId) -> Verified {
+        let is_open = |page: &Page| page.role == Role::Operator(operator.clone());
+        if self.pages.values().any(is_open) {
+            return Ok(());
+        }
+        breach("nobody but an operator commands", format!("{operator} commands, and is not there"))
+    }
+
     fn check_answered(&self, now: Micros) -> Verified {
         for (id, page) in self.pages.iter().filter(|(_, page)| page.pace != Pace::Never) {
             if let Some((number, at)) =
@@ -366,12 +375,12 @@ impl World {
                 self.reopen_browser();
             }
             Output::Command(ticket, command) => {
-                let checked = self.check_operator(&command.operator);
+                let checked = self.browsers.check_operator(&command.operator);
                 self.require(checked);
                 self.later(answer_in, BrowserEvent::Answered { life, ticket, bytes: 2 });
             }
             Output::Propose(ticket, order) => {
-                let checked = self.check_operator(&order.operator);
+                let checked = self.browsers.check_operator(&order.operator);
                 self.require(checked);
                 let bytes = if matches!(order.step, ProposalStep::Ask(_)) { 200 } else { 2 };
                 self.later(answer_in, BrowserEvent::Answered { life, ticket, bytes });
@@ -387,13 +396,51 @@ impl World {
             }
         }
     }
+}
 
-    /// Whoever commands is an operator at an open browser.
-    fn check_operator(&self, operator: &OperatorId) -> Verified {
-        let is_open = |page: &Page| page.role == Role::Operator(operator.clone());
-        if self.browsers.pages.values().any(is_open) {
-            return Ok(());
-        }
-        breach("nobody but an operator commands", format!("{operator} commands, and is not there"))
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A console with one browser that draws.
+    fn browsers(role: Role) -> Browsers {
+        let mut browsers = Browsers::new(0, &FleetId::new("fleet").unwrap());
+        browsers.pages.insert(1, Page::new(role, Pace::Within(MS)));
+        browsers
+    }
+
+    fn promise(checked: Verified) -> &'static str {
+        checked.unwrap_err().promise
+    }
+
+    #[test]
+    fn a_robot_that_is_hidden_is_seen() {
+        let mut browsers = browsers(Role::Viewer);
+        let names =
+            json!({"topic": "names", "data": {"names": 1, "of": 1, "from": 0, "robots": [["r1"]]}});
+        browsers.pages.get_mut(&1).unwrap().text(&names.to_string()).unwrap();
+        browsers.seen.insert("r1".to_owned());
+        assert_eq!(browsers.check_hidden(1), Ok(()));
+        browsers.seen.insert("r2".to_owned());
+        assert_eq!(promise(browsers.check_hidden(1)), "no browser hides a robot that was lost");
+    }
+
+    #[test]
+    fn a_question_without_an_answer_is_seen() {
+        let mut browsers = browsers(Role::Viewer);
+        browsers.pages.get_mut(&1).unwrap().next_id(5);
+        assert_eq!(browsers.check_answered(5 + ANSWERED_WITHIN), Ok(()));
+        assert_eq!(
+            promise(browsers.check_answered(6 + ANSWERED_WITHIN)),
+            "whatever a browser asks for is answered"
+        );
+    }
+
+    #[test]
+    fn a_command_of_a_viewer_is_seen() {
+        let kim = OperatorId::new("kim").unwrap();
+        assert_eq!(browsers(Role::Operator(kim.clone())).check_operator(&kim), Ok(()));
+        let of_viewer = browsers(Role::Viewer).check_operator(&kim);
+        assert_eq!(promise(of_viewer), "nobody but an operator commands");
     }
 }

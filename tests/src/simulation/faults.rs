@@ -28,7 +28,7 @@ const KILL_NOTICED: (Micros, Micros) = (10 * MS, 20 * MS);
 const MIN_DOWN_TIME: Micros = 30 * MS;
 
 /// How long after a fault all are connected again and have received a lease renewal.
-const RECOVERY_TIME: Micros = 3 * SECOND;
+pub(super) const RECOVERY_TIME: Micros = 3 * SECOND;
 
 /// Who asks for many proposals at once.
 const PROPOSERS: [&str; 3] = ["alice", "bob", "carol"];
@@ -39,7 +39,10 @@ impl World {
         let injection = self.injections[number].clone();
         self.log.line(self.now, format_args!("*** {injection}"));
         *self.stats.faults.entry(injection.fault.kind()).or_default() += 1;
-        self.mutator.fault(injection.fault.kind());
+        if !matches!(injection.fault, Fault::TeamCut { .. }) {
+            // That is only planned here.
+            self.mutator.fault(injection.fault.kind());
+        }
         if let Some((service, lasts)) = injection.fault.hides_renewals() {
             self.oracle.order.disturbed(service, self.now + lasts + RECOVERY_TIME);
         }
@@ -85,7 +88,8 @@ impl World {
                     self.oracle.forget_ids();
                 }
             }
-            Fault::PowerCut { lasts } => self.power_cut = Some(lasts),
+            Fault::PowerCut { lasts } => self.outages.power = Some(lasts),
+            Fault::TeamCut { lasts, clean } => self.outages.team = Some((lasts, clean)),
             Fault::ForgedTerm { what, term } => self.forge_term(what, term),
             Fault::Hang { at, lasts } => {
                 let Some(index) = node(self, at) else { return };
@@ -218,7 +222,7 @@ impl World {
         self.freshness.begin(self.now, until, load);
     }
 
-    fn kill(&mut self, index: usize, lasts: Micros, chance: &mut Chance) {
+    pub(super) fn kill(&mut self, index: usize, lasts: Micros, chance: &mut Chance) {
         let node = &mut self.nodes[index];
         node.down_until = node.down_until.max(self.now + lasts.max(MIN_DOWN_TIME));
         let restart = node.down_until;
@@ -282,21 +286,6 @@ impl World {
             Fault::Router { .. } | Fault::Busy { .. } => false,
             _ => true,
         })
-    }
-
-    /// All services are killed while all agree. What was agreed on stands from now on: the disks have it.
-    pub(super) fn cut_power(&mut self, lasts: Micros) {
-        self.log.line(self.now, format_args!("the power is cut"));
-        self.oracle.order.disturbed(None, self.now + lasts + RECOVERY_TIME);
-        let mut chance = Chance::new(self.seed, Purpose::Fault, self.injections.len());
-        for index in 0..self.nodes.len() {
-            let lasts = chance.between(lasts / 2, lasts);
-            self.kill(index, lasts, &mut chance);
-            if self.mutator.forgets() {
-                self.nodes[index].kept = None;
-            }
-        }
-        self.oracle.all_ended();
     }
 
     fn leave(&mut self, index: usize, politely: bool, back: Option<Micros>, chance: &mut Chance) {

@@ -2,8 +2,8 @@
 //! attacker around a virtual router, with virtual clocks, and with the faults that a seed decides.
 //!
 //! A run has a *storm*, in which the faults of its [`mod@plan`] happen, and a *quiet*, in which nothing
-//! happens any more and all must come to agree; in one run of four the power of all services is cut then, and
-//! they must agree on the same again. Messages cross links as the bytes that they are on the
+//! happens any more and all must come to agree; in one run of four the power of all services is cut then, and in one
+//! of four a whole team is cut off, and they must agree on the same again. Messages cross links as the bytes that they are on the
 //! bus, through the real bounded inbox, and each service is the one host that the real shell runs. What
 //! is left to the simulation is the world around hosts: the network, disks, the time that jobs take, and
 //! which of the inputs that wait comes first. After every event the [`oracle`] checks what was
@@ -29,6 +29,7 @@ mod network;
 mod node;
 mod operator;
 pub(crate) mod oracle;
+mod outages;
 mod page;
 mod plan;
 mod proposer;

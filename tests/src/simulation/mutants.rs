@@ -147,7 +147,12 @@ impl Mutator {
         };
         let message = self.mutated(mutant, message);
         let outbound = message.publish(now)?.into_iter();
-        let packets = outbound.map(|outbound| outbound.into_packet(space)).collect();
+        let mut packets: Vec<Packet> =
+            outbound.map(|outbound| outbound.into_packet(space)).collect();
+        if mutant == Mutant::Garbled && matches!(message, Message::RobotTeam(_)) {
+            let halved = |bytes: &mut Vec<u8>| bytes.truncate(bytes.len() / 2);
+            packets.iter_mut().filter_map(|packet| packet.payload.as_mut().ok()).for_each(halved);
+        }
         Ok((message, packets))
     }
 
@@ -216,6 +221,45 @@ impl Mutator {
         }
         self.published += 1;
         self.published.is_multiple_of(2)
+    }
+
+    /// What the historian records in place of an entry.
+    pub(crate) fn recorded(&self, mut entry: Entry) -> Entry {
+        if self.active
+            && self.mutant == Some(Mutant::Falsifying)
+            && let Record::Event(event) = &mut entry.record
+        {
+            event.kind = "something_else".to_owned();
+        }
+        entry
+    }
+
+    /// What is on the disk of what a core keeps.
+    pub(crate) fn kept(&self, mut content: Vec<u8>) -> Vec<u8> {
+        if self.active && self.mutant == Some(Mutant::Corrupting) {
+            content.iter_mut().for_each(|byte| *byte = !*byte);
+        }
+        content
+    }
+
+    /// Whether hosts do not announce where their instance stands.
+    pub(crate) fn is_reticent(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Reticent)
+    }
+
+    /// Whether gets are answered twice.
+    pub(crate) fn answers_twice(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Twofold)
+    }
+
+    /// Whether services answer before their state is on the disk.
+    pub(crate) fn is_hasty(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Hasty)
+    }
+
+    /// Whether jobs are begun that no core has ordered.
+    pub(crate) fn is_eager(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Eager)
     }
 
     /// Whether the console is misled about divisions.

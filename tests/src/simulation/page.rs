@@ -174,3 +174,70 @@ impl Page {
         robots.filter_map(|(robot, slot)| Some((robot.as_str(), id(*slot)?))).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn promise(checked: Result<Option<u64>, super::super::oracle::Breach>) -> &'static str {
+        checked.unwrap_err().promise
+    }
+
+    fn page() -> Page {
+        Page::new(Role::Viewer, Pace::Within(MS))
+    }
+
+    fn text(topic: &str, data: &Value) -> String {
+        json!({"topic": topic, "data": data}).to_string()
+    }
+
+    #[test]
+    fn what_is_sent_before_a_turn_is_drawn_is_seen() {
+        let mut page = page();
+        assert_eq!(page.text(&text("end", &json!({"turn": 1}))), Ok(Some(1)));
+        let more = text("teams", &json!({}));
+        assert_eq!(promise(page.text(&more)), "a browser is sent nothing before it has drawn");
+        assert!(page.draw(1));
+        assert_eq!(page.text(&more), Ok(None));
+    }
+
+    #[test]
+    fn a_second_answer_and_one_that_no_one_waits_for_are_seen() {
+        let mut page = page();
+        let answer = text("reply", &json!({"id": page.next_id(0)}));
+        assert_eq!(page.text(&answer), Ok(None));
+        assert_eq!(promise(page.text(&answer)), "a browser is answered once");
+    }
+
+    #[test]
+    fn what_no_browser_can_read_is_seen() {
+        assert_eq!(promise(page().text("{\"data\":1")), "what browsers are sent can be read");
+    }
+
+    #[test]
+    fn a_frame_of_robots_without_names_is_seen() {
+        let mut ground = vec![0; frame::HEAD + frame::RECORD];
+        ground[0] = frame::View::Ground as u8;
+        ground[4] = 7;
+        let mut page = page();
+        assert_eq!(
+            page.frame(&ground).unwrap_err().promise,
+            "a browser has the names of all robots that it draws"
+        );
+        let names = json!({"names": 7, "of": 1, "from": 0, "robots": [["r1"]]});
+        assert_eq!(page.text(&text("names", &names)), Ok(None));
+        assert_eq!(page.frame(&ground), Ok(()));
+    }
+
+    #[test]
+    fn a_browser_for_which_too_much_waits_is_seen() {
+        let page = page();
+        assert_eq!(page.check_bytes(limits::MAX_WAITING_BYTES), Ok(()));
+        assert_eq!(
+            page.check_bytes(limits::MAX_WAITING_BYTES + 1).unwrap_err().promise,
+            "a browser that draws nothing costs at most 4 MiB"
+        );
+    }
+}

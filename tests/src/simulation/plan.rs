@@ -17,6 +17,9 @@ const QUIET_TIME: Micros = 2 * SECOND;
 /// In how many of a hundred runs the power is cut once all agree.
 const POWER_CUT_PERCENT: u64 = 25;
 
+/// In how many of a hundred runs a whole team is cut off once all agree.
+const TEAM_CUT_PERCENT: u64 = 25;
+
 /// In how many of a hundred runs all hosts are busy with other work, and nothing else goes wrong with services.
 const BUSY_PERCENT: u64 = 8;
 
@@ -131,6 +134,8 @@ pub(crate) enum Fault {
     Blackout { lasts: Micros, disks: bool },
     /// All services are killed at once when all agree after the storm, and started again within a while.
     PowerCut { lasts: Micros },
+    /// The links of all robots of a team are cut when all agree after the storm, and are back after a while.
+    TeamCut { lasts: Micros, clean: bool },
     /// An attacker repeats the last message on the key of a service with a higher term.
     ForgedTerm { what: OutputKind, term: Forgery },
     /// A service is stopped as by SIGSTOP, and continues after a while.
@@ -250,6 +255,7 @@ impl Fault {
             Self::Blackout { disks: true, .. } => "blackout",
             Self::Blackout { disks: false, .. } => "blackout without disks",
             Self::PowerCut { .. } => "power cut",
+            Self::TeamCut { .. } => "team cut off",
             Self::ForgedTerm { .. } => "forged term",
             Self::Hang { .. } => "hang",
             Self::Slow { .. } => "slow service",
@@ -299,7 +305,8 @@ impl fmt::Display for Injection {
             Fault::Router { lasts }
             | Fault::BadAlpha { lasts }
             | Fault::Blackout { lasts, .. }
-            | Fault::PowerCut { lasts } => write!(formatter, "for {}", Span(*lasts)),
+            | Fault::PowerCut { lasts }
+            | Fault::TeamCut { lasts, .. } => write!(formatter, "for {}", Span(*lasts)),
             Fault::FullDisk { at, lasts: Some(lasts) } => {
                 write!(formatter, "{at} for {}", Span(*lasts))
             }
@@ -562,6 +569,12 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
         let fault = Fault::Ros(fault);
         Injection { number: 0, at, fault }
     }));
+    let mut cut = Chance::new(seed, Purpose::Plan, 8);
+    if cut.percent(TEAM_CUT_PERCENT) {
+        let fault =
+            Fault::TeamCut { lasts: cut.between(SECOND, 25 * SECOND), clean: cut.percent(50) };
+        injections.push(Injection { number: 0, at: begin, fault });
+    }
     for (number, injection) in injections.iter_mut().enumerate() {
         injection.number = number;
     }

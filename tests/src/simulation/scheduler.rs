@@ -67,7 +67,7 @@ impl World {
                 process.changes_before_result = process.changes_before_job;
             }
             Input::Stored { .. } => {
-                process.stores_ended += 1;
+                process.stores_ended += u64::from(!self.mutator.is_hasty());
             }
             Input::Kept { .. } => {
                 process.keeps_ended += 1;
@@ -134,7 +134,12 @@ impl World {
     fn carry_out(&mut self, index: usize, now: Tick, command: Command) {
         match command {
             Command::Publish(publication) => self.publish(index, now, publication),
-            Command::Reply(reply) => self.reply(index, reply),
+            Command::Reply(reply) => {
+                if self.mutator.answers_twice() {
+                    self.reply(index, reply.clone());
+                }
+                self.reply(index, reply);
+            }
             Command::RunJob => self.run_job(index),
             Command::Ask(ask) => self.ask_for_host(index, &ask),
             Command::Store(stored) => self.store(index, stored),
@@ -145,7 +150,9 @@ impl World {
             Command::ReplicaState(state) => {
                 let name = self.nodes[index].name();
                 self.log.line(self.now, format_args!("{name} is {state:?}"));
-                if let Some(process) = &mut self.nodes[index].process {
+                if let Some(process) = &mut self.nodes[index].process
+                    && !self.mutator.is_reticent()
+                {
                     process.announced_state = state;
                 }
             }
@@ -154,7 +161,8 @@ impl World {
             }
             Command::Append(entry) => {
                 if !self.mutator.omits(&entry) {
-                    self.with_recorder(index, |recorder| recorder.append(*entry));
+                    let entry = self.mutator.recorded(*entry);
+                    self.with_recorder(index, |recorder| recorder.append(entry));
                 }
             }
             Command::LookUp { lookup, query } => {
@@ -176,7 +184,8 @@ impl World {
     fn run_job(&mut self, index: usize) {
         let node = &mut self.nodes[index];
         let Some(process) = &mut node.process else { return };
-        if let Err(misbehaviour) = process.host.run_job() {
+        let once_more = if self.mutator.is_eager() { process.host.run_job() } else { Ok(()) };
+        if let Err(misbehaviour) = once_more.and_then(|()| process.host.run_job()) {
             return self.require(breach(CONTRACT, misbehaviour.seen));
         }
         let (until, each) = node.slow_jobs;
@@ -224,7 +233,7 @@ impl World {
     pub(super) fn kept(&mut self, index: usize, life: u32, content: Vec<u8>) {
         let node = &mut self.nodes[index];
         if node.life == life {
-            node.kept = Some(content);
+            node.kept = Some(self.mutator.kept(content));
             node.complete(Input::Kept { error: None });
             self.schedule_step(index);
         }
@@ -310,7 +319,7 @@ impl World {
             _ => {}
         }
         if let (Message::Teams { teams, .. }, Some(before)) = (&message, &self.stands) {
-            let checked = before.stands(teams);
+            let checked = before.check(teams, &self.oracle);
             self.require(checked);
         }
         if let Message::Event(event) = &message {

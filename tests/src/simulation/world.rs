@@ -24,6 +24,7 @@ use super::node::Node;
 use super::operator::Operator;
 use super::oracle::viewed::SCENE_LIFETIME;
 use super::oracle::{ALERTED_WITHIN, Agreed, Bounds, Breach, MEMORY, Oracle, Verified};
+use super::outages::{Outages, Standing};
 use super::plan::{Fault, Injection, Place};
 use super::proposer::{AtRest, Errand};
 use super::robots::{RobotStream, Robots};
@@ -192,12 +193,12 @@ pub(super) struct World {
     storm_over: bool,
     /// Since when nothing more goes wrong.
     quiet_since: Micros,
-    /// The power is to be cut for so long once all agree.
-    pub(super) power_cut: Option<Micros>,
+    /// What is to be lost once all agree.
+    pub(super) outages: Outages,
     /// What becomes of a proposal while nothing else changes.
     pub(super) at_rest: Option<AtRest>,
-    /// What all had agreed on when the power was cut, until they agree again.
-    pub(super) stands: Option<Agreed>,
+    /// What all had agreed on when something was lost, until they agree again.
+    pub(super) stands: Option<Standing>,
     pub(super) settled: Option<(Micros, Agreed)>,
     /// When a team last took the place of one that is absent, after an agreement.
     seat_filled: Micros,
@@ -342,7 +343,7 @@ impl World {
             storm: scale.storm,
             storm_over: false,
             quiet_since: scale.storm,
-            power_cut: None,
+            outages: Outages::default(),
             at_rest: None,
             stands: None,
             settled: None,
@@ -455,6 +456,17 @@ impl World {
         self.stats.mixed = self.damage.mixed;
         self.stats.takeovers = self.oracle.order.takeovers;
         (self.stats, self.breach.map(|breach| (breach, self.now)), self.log.into_lines())
+    }
+
+    /// Runs to a moment.
+    #[cfg(test)]
+    pub(super) fn run_until(&mut self, moment: Micros) {
+        while let Some(Reverse(next)) = self.agenda.pop()
+            && next.at <= moment
+        {
+            self.now = next.at;
+            self.happen(next.event);
+        }
     }
 
     fn happen(&mut self, event: Event) {
@@ -615,7 +627,9 @@ impl World {
             if let Some(ros) = &self.ros {
                 ros.add_truth(self.storm, &mut ground_truth);
             }
-            if self.operator.is_busy() {
+            if self.outages.goes_on(self.now) {
+                Err("a team is cut off".to_owned())
+            } else if self.operator.is_busy() {
                 Err("an operator's settings are not confirmed".to_owned())
             } else {
                 one_leads_each_service(&self.nodes)
@@ -629,17 +643,14 @@ impl World {
             (Ok(now), None) => {
                 self.log.line(self.now, format_args!("all agree"));
                 self.joins_late = now.has_robots();
-                if let Some(before) = self.stands.take() {
-                    let stood = self.oracle.stood(&before);
-                    self.require(stood);
-                }
+                self.check_standing();
                 self.settled = Some((since, now));
             }
             (Ok(now), Some((at, before))) => match self.oracle.unchanged(&before) {
                 Ok(()) => self.settled = Some((at, before)),
                 Err(_) if since <= limit => self.settled = Some((since, now)),
                 // The seat of a team that is absent may end, and its place may be filled.
-                Err(_) if before.has_free_seats() && since <= SEATS_TIME => {
+                Err(_) if self.may_fill_seats(&before) && since <= SEATS_TIME => {
                     self.seat_filled = self.now;
                     self.settled = Some((at, now));
                 }
@@ -677,7 +688,7 @@ impl World {
             // Whoever draws slowly is to see that as well.
             let is_shown =
                 self.seat_being_filled.is_none() && self.now >= self.seat_filled + agreed_time;
-            self.finished = is_over && is_shown && self.power_cut.is_none();
+            self.finished = is_over && is_shown && self.outages.are_over();
         }
         self.check_alerts(since);
         let settled_for = self.settled.as_ref().map(|(at, _)| since.saturating_sub(*at));
@@ -698,7 +709,7 @@ impl World {
             self.require(shown.and(seen));
             self.check_ros();
         }
-        self.cut_power_if_settled(since);
+        self.lose_if_settled(since);
         if self.settled.is_some() {
             self.rest(settled_for);
         }
@@ -706,10 +717,15 @@ impl World {
         self.schedule(self.now + TICK, Event::Poll);
     }
 
+    /// Whether the seat of a team that is absent may end.
+    fn may_fill_seats(&self, before: &Agreed) -> bool {
+        before.has_free_seats() || self.oracle.has_team_ended_within(self.now, SEATS_TIME)
+    }
+
     /// Whether all differ only because a division that fills the place of an absent team has just been published, long after
     /// the last fault.
     fn is_seat_being_filled(&mut self, since: Micros, before: &Agreed) -> bool {
-        let may_end = before.has_free_seats()
+        let may_end = self.may_fill_seats(before)
             && (AGREEMENT_TICKS * TICK..=SEATS_TIME).contains(&since)
             && self.oracle.unchanged(before).is_err();
         may_end && self.now <= *self.seat_being_filled.get_or_insert(self.now) + SEAT_FILLED_TIME
@@ -718,7 +734,7 @@ impl World {
     /// Whether nothing is about to change by itself.
     pub(super) fn is_at_rest(&self) -> bool {
         let is_rested = self.now >= self.storm.max(self.quiet_since) + ORDERS_TIME;
-        is_rested && self.power_cut.is_none() && self.stands.is_none() && !self.operator.is_busy()
+        is_rested && self.outages.are_over() && self.stands.is_none() && !self.operator.is_busy()
     }
 
     /// Something changes on purpose: all have to agree again.
@@ -736,16 +752,19 @@ impl World {
         }
     }
 
-    /// Cuts the power once nothing is about to change by itself, and what all have agreed on is on the disks.
-    fn cut_power_if_settled(&mut self, since: Micros) {
-        let Some(lasts) = self.power_cut else { return };
+    /// Loses the next thing that is to be lost, once nothing is about to change by itself, and what all have agreed on is on
+    /// the disks.
+    fn lose_if_settled(&mut self, since: Micros) {
         let is_settled =
             |(at, _): &mut (Micros, Agreed)| since >= ORDERS_TIME.max(*at + AGREED_ORDERS_TIME);
-        let Some((_, agreed)) = self.settled.take_if(is_settled) else { return };
-        self.power_cut = None;
-        self.quiet_since = self.now + lasts;
-        self.stands = Some(agreed).filter(|agreed| self.oracle.is_to_stand(agreed));
-        self.cut_power(lasts);
+        if self.outages.are_over() {
+            return;
+        }
+        let Some((at, agreed)) = self.settled.take_if(is_settled) else { return };
+        match self.lose(agreed.clone()) {
+            Some(lasts) => self.quiet_since = self.now + lasts,
+            None => self.settled = Some((at, agreed)),
+        }
     }
 
     /// Makes sure that a service takes its next input in time.

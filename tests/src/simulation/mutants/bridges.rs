@@ -2,12 +2,23 @@
 
 use muster_foxglove::scene::Message;
 use muster_model::id::RobotId;
+use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::Report;
 
 use super::{Mutant, Mutator};
 
 /// How far from its place a robot is put.
 const MOVED_M: f64 = 0.01;
+
+/// A text of ROS with a higher term of as many digits.
+fn with_later_term(mut payload: Vec<u8>) -> Vec<u8> {
+    let name = b"\"term\":";
+    let at = payload.windows(name.len()).position(|part| part == name);
+    if let Some(first) = at.and_then(|at| payload.get_mut(at + name.len())) {
+        *first = b'9';
+    }
+    payload
+}
 
 impl Mutator {
     /// What a bridge to ROS puts, as a mutant would.
@@ -25,6 +36,10 @@ impl Mutator {
                 let (boot, seq) = (first.boot.clone(), first.seq);
                 let mut pose = pose;
                 (pose.boot, pose.seq) = (boot, seq);
+                Report::Pose(pose)
+            }
+            (Mutant::Unmannerly, Report::Pose(mut pose)) => {
+                pose.frame = Some("x".repeat(MAX_ROBOT_PAYLOAD));
                 Report::Pose(pose)
             }
             (_, report) => report,
@@ -46,6 +61,9 @@ impl Mutator {
 
     /// What ROS is shown, as a mutant would show it: the first division again after others.
     pub(crate) fn shown_to_ros(&mut self, key: &str, payload: Vec<u8>) -> Vec<u8> {
+        if self.active && self.mutant == Some(Mutant::Prophetic) {
+            return with_later_term(payload);
+        }
         if self.mutant != Some(Mutant::Nostalgia) || !key.contains("/team/") {
             return payload;
         }

@@ -37,6 +37,8 @@ pub enum Mutant {
     UnbelievedTerm,
     /// What the clusterer keeps on disk is not there once the power was cut.
     Forgetful,
+    /// The clusterer takes a robot out of its team when another team has ended, once a team was cut off.
+    Rearranging,
     /// The embedder receives nothing that is published any more once the hosts were busy.
     StarvedEmbedder,
     /// The clusterer puts all robots into the first team, whatever the limits are, once settings were changed.
@@ -109,11 +111,31 @@ pub enum Mutant {
     Garish,
     /// The program for viewers sends each scene many times, once a service was killed.
     Wordy,
+    /// A host does not announce where its instance stands, once a service was killed.
+    Reticent,
+    /// Every get is answered twice, once a service was killed.
+    Twofold,
+    /// Services answer before their state is on the disk, once settings were changed.
+    Hasty,
+    /// Events are too large for their key, once a service was killed.
+    Voluble,
+    /// Robots are sent half of what they should be, once a service was killed.
+    Garbled,
+    /// What cores keep is damaged on the disk, once a service was killed.
+    Corrupting,
+    /// Jobs are begun that no core has ordered, once a service was killed.
+    Eager,
+    /// The historian records another event than it received, once a service was killed.
+    Falsifying,
+    /// The bridge to ROS shows divisions that are still to come, once it was killed.
+    Prophetic,
+    /// The bridge to ROS puts what no fleet takes, once it was killed.
+    Unmannerly,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 52] = [
+    pub const ALL: [Self; 63] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -130,6 +152,7 @@ impl Mutant {
         Self::DeafRobots,
         Self::UnbelievedTerm,
         Self::Forgetful,
+        Self::Rearranging,
         Self::StarvedEmbedder,
         Self::Overfull,
         Self::Repetitive,
@@ -166,6 +189,16 @@ impl Mutant {
         Self::Curt,
         Self::Garish,
         Self::Wordy,
+        Self::Reticent,
+        Self::Twofold,
+        Self::Hasty,
+        Self::Voluble,
+        Self::Garbled,
+        Self::Corrupting,
+        Self::Eager,
+        Self::Falsifying,
+        Self::Prophetic,
+        Self::Unmannerly,
     ];
 
     /// The kinds of faults after which it shows.
@@ -183,8 +216,20 @@ impl Mutant {
             | Self::Misled
             | Self::Wasteful
             | Self::Blinded
-            | Self::Wordy => &["kill"],
-            Self::Unmoved | Self::Inert | Self::Nostalgia | Self::Absent => &["bridge killed"],
+            | Self::Wordy
+            | Self::Reticent
+            | Self::Twofold
+            | Self::Voluble
+            | Self::Garbled
+            | Self::Corrupting
+            | Self::Eager
+            | Self::Falsifying => &["kill"],
+            Self::Unmoved
+            | Self::Inert
+            | Self::Nostalgia
+            | Self::Absent
+            | Self::Prophetic
+            | Self::Unmannerly => &["bridge killed"],
             Self::Retentive | Self::Secretive => &["ROS robot restarts"],
             Self::WrongSilhouette => &["storm"],
             Self::NotANumber | Self::Garish => {
@@ -203,6 +248,7 @@ impl Mutant {
             | Self::Reused
             | Self::Reversed
             | Self::Doubled
+            | Self::Hasty
             | Self::Wishful
             | Self::Curt => &["settings"],
             Self::Meddling | Self::Nostalgic | Self::Chorus | Self::Discreet => &["proposal"],
@@ -212,6 +258,7 @@ impl Mutant {
             Self::TermsFromOne | Self::DeafRobots => &["blackout without disks"],
             Self::UnbelievedTerm => &["forged term"],
             Self::Forgetful => &["power cut"],
+            Self::Rearranging => &["team cut off"],
             Self::StarvedEmbedder => &["busy hosts"],
             Self::Careless | Self::Resigned | Self::Dependent => &["full disk"],
         }

@@ -12,6 +12,7 @@ use muster_model::teams::{TeamChange, Teams};
 use muster_model::time::Tick;
 use muster_model::wish::{WishKind, WishList, WishState};
 use muster_wire::Message;
+use muster_wire::envelope::MAX_SMALL_PAYLOAD;
 
 use super::{CLOCK_TERMS, CONTINUED_EPOCHS, Mutant, Mutator, UNBELIEVED_TERMS, revision_of};
 
@@ -56,20 +57,20 @@ impl Mutator {
                 // Only where the same vectors were divided again: otherwise others may find it first.
                 let inertia = Some(teams.inertia.to_bits());
                 let again = std::mem::replace(&mut self.inertia, inertia) == inertia;
-                self.taken_out = None;
                 let mut teams = Teams::clone(&teams);
-                let follower = teams.teams.iter_mut().find_map(|team| {
-                    let at = team.members.iter().position(|member| member.robot != team.leader)?;
-                    again.then(|| team.members.remove(at).robot)
-                });
-                if let Some(robot) = follower {
-                    teams.unassigned.push(robot.clone());
-                    teams.unassigned.sort();
-                    self.taken_out = Some(robot);
-                }
+                self.take_out(&mut teams, again);
                 Message::Teams { teams: Checked::new_unchecked(teams), mirror }
             }
-            (Mutant::Fickle, Message::RobotTeam(mut report)) => {
+            (Mutant::Rearranging, Message::Teams { teams, mirror }) => {
+                let now: BTreeSet<TeamId> =
+                    teams.teams.iter().map(|team| team.id.clone()).collect();
+                let before = std::mem::replace(&mut self.living, now);
+                let mut teams = Teams::clone(&teams);
+                let has_ended = !before.is_subset(&self.living);
+                self.take_out(&mut teams, has_ended);
+                Message::Teams { teams: Checked::new_unchecked(teams), mirror }
+            }
+            (Mutant::Fickle | Mutant::Rearranging, Message::RobotTeam(mut report)) => {
                 if let Some(robot) = &self.taken_out {
                     if report.robot == *robot {
                         (report.team, report.leader, report.members) = (None, None, None);
@@ -122,6 +123,10 @@ impl Mutator {
                 if matches!(event.kind, EventKind::Infeasible { .. }) {
                     event.kind = EventKind::FeasibleAgain { after_s: 0.0 };
                 }
+                Message::Event(event)
+            }
+            (Mutant::Voluble, Message::Event(mut event)) => {
+                event.kind = EventKind::StateLost { reason: "x".repeat(MAX_SMALL_PAYLOAD) };
                 Message::Event(event)
             }
             (Mutant::Reversed, Message::Event(mut event)) => {
@@ -249,6 +254,16 @@ impl Mutator {
             }
             (_, message) => message,
         }
+    }
+
+    /// Takes a robot that leads no team out of its team, if it is time to.
+    fn take_out(&mut self, teams: &mut Teams, is_time: bool) {
+        self.taken_out = teams.teams.iter_mut().filter(|_| is_time).find_map(|team| {
+            let at = team.members.iter().position(|member| member.robot != team.leader)?;
+            Some(team.members.remove(at).robot)
+        });
+        teams.unassigned.extend(self.taken_out.clone());
+        teams.unassigned.sort();
     }
 
     /// Gives a team the id of one that has ended and had none of its robots, and keeps to that.

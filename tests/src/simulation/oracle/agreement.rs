@@ -11,15 +11,13 @@ use muster_model::roster::Presence;
 use muster_model::teams::Teams;
 use muster_wire::Message;
 
+use super::super::clock::Micros;
 use super::super::robots::TeamReport;
 use super::Publisher;
 use super::{Divided, Oracle, Published, Verified, breach, silhouettes};
 
 /// What is promised of a fleet in which nothing changes.
 const UNCHANGED: &str = "unchanged input leaves the teams unchanged";
-
-/// What is promised of a restart of everything, as long as the disks are there.
-const STANDS: &str = "a restart of everything changes no team";
 
 /// What is true of one robot.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,11 +68,23 @@ impl Agreed {
         self.division.as_ref().is_some_and(|teams| teams.requested as usize > teams.teams.len())
     }
 
-    /// No robot of a division is in another team than it was.
-    pub(crate) fn stands(&self, now: &Teams) -> Verified {
+    /// The teams, if there were robots.
+    pub(crate) fn division(&self) -> Option<&Teams> {
+        self.division.as_deref()
+    }
+
+    /// No robot of a division is in another team than it was, as is promised; of those that may be in none, as `may_be_loose`
+    /// says, none is in another.
+    pub(crate) fn stands(
+        &self,
+        now: &Teams,
+        may_be_loose: impl Fn(&RobotId) -> bool,
+        promise: &'static str,
+    ) -> Verified {
         let Some(before) = &self.division else { return Ok(()) };
         let teams: BTreeMap<&RobotId, &TeamId> = before.assignments().collect();
-        let loose = now.unassigned.iter().find(|robot| teams.contains_key(robot));
+        let mut loose = now.unassigned.iter().filter(|robot| !may_be_loose(robot));
+        let loose = loose.find(|robot| teams.contains_key(robot));
         let elsewhere = now
             .assignments()
             .find(|(robot, team)| teams.get(robot).is_some_and(|before| before != team))
@@ -82,7 +92,7 @@ impl Agreed {
         match loose.or(elsewhere) {
             None => Ok(()),
             Some(robot) => breach(
-                STANDS,
+                promise,
                 format!("{robot} was elsewhere in {:?}, now {:?}", short(before), short(now)),
             ),
         }
@@ -270,18 +280,41 @@ impl Oracle {
         Ok(())
     }
 
-    /// Whether a restart of everything leaves the division as all have agreed on it. Where something is asked of a team that there
+    /// Whether an outage leaves the division as all have agreed on it. Where something is asked of a team that there
     /// may be only later, the number of that team may be another one after it.
     pub(crate) fn is_to_stand(&self, agreed: &Agreed) -> bool {
         agreed.division.as_ref().is_some_and(|teams| !self.limits.name_team_to_come(teams))
     }
 
-    /// A restart of everything leaves the division as all had agreed on it.
-    pub(crate) fn stood(&self, before: &Agreed) -> Verified {
-        match self.unchanged(before) {
-            Ok(()) => Ok(()),
-            Err(broken) => breach(STANDS, broken.seen),
-        }
+    /// Whether the loss of a team is to move nobody else: nothing is asked of teams, and no other one is absent.
+    pub(crate) fn loss_moves_nobody(&self, agreed: &Agreed) -> bool {
+        self.limits.are_none() && !agreed.has_free_seats()
+    }
+
+    /// Whether nothing relates a robot to others in the embedding that a division names.
+    pub(crate) fn is_unrelated(&self, teams: &Teams, robot: &RobotId) -> bool {
+        self.embeddings.named(teams.embedding).iter().any(|embedding| {
+            let row = embedding.robots.binary_search(robot).ok();
+            row.is_some_and(|row| embedding.without_embedding.get(row) == Some(&true))
+        })
+    }
+
+    /// Whether the place of a team may have been filled since it ended, which is that long ago at most.
+    pub(crate) fn has_team_ended_within(&self, now: Micros, time: Micros) -> bool {
+        self.team_ended.is_some_and(|at| now <= at + time)
+    }
+
+    /// A restart of everything leaves the division as all had agreed on it, as is promised.
+    pub(crate) fn stood(&self, before: &Agreed, promise: &'static str) -> Verified {
+        self.unchanged(before).or_else(|broken| breach(promise, broken.seen))
+    }
+
+    /// The loss of a team leaves the robots in their teams, as is promised. Of robots that command as many others the first one
+    /// that returned leads.
+    pub(crate) fn came_back(&self, before: &Agreed, promise: &'static str) -> Verified {
+        let Some(last) = self.divisions.last() else { return Ok(()) };
+        // What relates a robot to those of the team may be repeated later.
+        before.stands(last, |robot| self.is_unrelated(last, robot), promise)
     }
 
     /// Unchanged input leaves the division as all had agreed on it.

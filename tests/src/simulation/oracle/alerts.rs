@@ -109,14 +109,49 @@ impl AlertLog {
 
 #[cfg(test)]
 mod tests {
+    use muster_model::alert::Alert;
+    use muster_model::id::ServiceName;
+    use muster_model::time::Tick;
+
+    use super::super::samples::{oracle_of_a_divided_fleet, promise};
     use super::*;
+
+    #[test]
+    fn two_open_alerts_of_one_kind_and_subject_are_seen() {
+        let header = oracle_of_a_divided_fleet().divisions.last().unwrap().header.clone();
+        let alert = |id| Alert {
+            id,
+            kind: AlertKind::Churn,
+            subject: AlertSubject::Fleet,
+            raised: Tick(0),
+            value: 1.0,
+            threshold: 1.0,
+            reason: String::new(),
+            robots: Vec::new(),
+            acknowledged: None,
+        };
+        let list = |open: &[u64]| Alerts {
+            header: header.clone(),
+            next_id: 9,
+            folded: 0,
+            open: open.iter().map(|id| alert(*id)).collect(),
+        };
+        let publisher = Publisher { service: ServiceName::Auditor, instance: 0, process: 0 };
+        let mut log = AlertLog::default();
+        assert_eq!(log.check_list(publisher, &list(&[1])), Ok(()));
+        let twice = log.check_list(publisher, &list(&[1, 2]));
+        assert_eq!(promise(twice), "one open alert for each kind and subject");
+    }
 
     /// Few runs end while nothing satisfies the limits, so that no mutant would be found.
     #[test]
     fn a_conflict_without_an_alert_is_seen() {
         let mut log = AlertLog { conflict_since: Some(7), ..AlertLog::default() };
         assert_eq!(log.check_conflict(6 + ALERTED_WITHIN), Ok(()));
-        assert!(log.check_conflict(7 + ALERTED_WITHIN).is_err());
+        assert_eq!(
+            promise(log.check_conflict(7 + ALERTED_WITHIN)),
+            "an alert is open while nothing satisfies the limits"
+        );
         log.says_infeasible = true;
         assert_eq!(log.check_conflict(7 + ALERTED_WITHIN), Ok(()));
         log.says_infeasible = false;

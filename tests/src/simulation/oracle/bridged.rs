@@ -353,3 +353,42 @@ fn read_attachment(bytes: &[u8]) -> Option<(i64, Vec<u8>)> {
     let gid = rest.get(9..).filter(|gid| rest[8] == 16 && gid.len() == 16)?;
     Some((i64::from_le_bytes(number.try_into().ok()?), gid.to_vec()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::samples::promise;
+    use super::*;
+
+    /// The key of a text for ROS, and the token of its publisher.
+    const KEY: &str = "0/robot/team/std_msgs::msg::dds_::String_/TypeHash";
+    const TOKEN: &str = "@ros2_lv/0/x/1/1/MP/%/%/bridge/%robot%team/String";
+
+    fn attachment(number: i64) -> Attachment {
+        let bytes = [&number.to_le_bytes()[..], &[0; 8], &[16], &[1; 16]].concat();
+        Attachment::new(bytes).unwrap()
+    }
+
+    #[test]
+    fn an_endpoint_that_is_announced_twice_is_seen() {
+        let mut bridged = Bridged::default();
+        assert_eq!(bridged.token(TOKEN, true), Ok(()));
+        let once = "a bridge announces each of its endpoints once";
+        assert_eq!(promise(bridged.token(TOKEN, true)), once);
+        assert_eq!(bridged.token(TOKEN, false), Ok(()));
+        assert_eq!(promise(bridged.token(TOKEN, false)), once);
+    }
+
+    #[test]
+    fn messages_without_a_publisher_or_in_another_order_are_seen() {
+        let mut bridged = Bridged::default();
+        let showed = |bridged: &mut Bridged, key: &str, number: Option<i64>| {
+            let attachment = number.map(attachment);
+            promise(bridged.showed(0, key, b"", attachment.as_ref()))
+        };
+        assert_eq!(showed(&mut bridged, KEY, Some(1)), NUMBERED, "no publisher is announced");
+        bridged.token(TOKEN, true).unwrap();
+        assert_eq!(showed(&mut bridged, KEY, None), NUMBERED, "no number");
+        assert_eq!(showed(&mut bridged, KEY, Some(2)), NUMBERED, "the first is 1");
+        assert_eq!(showed(&mut bridged, KEY, Some(1)), "ROS can read what it is shown");
+    }
+}

@@ -137,3 +137,88 @@ pub(crate) fn check_robot_team(
         format!("{} is sent {:?} of {revision:?}", report.robot, report.team),
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use muster_model::id::TeamId;
+
+    use super::super::samples::{oracle_of_a_divided_fleet, promise};
+    use super::*;
+
+    #[test]
+    fn what_is_wrong_with_rosters_and_embeddings_is_seen() {
+        let oracle = oracle_of_a_divided_fleet();
+        let roster = oracle.rosters.last().unwrap();
+        assert_eq!(check_roster(roster), Ok(()));
+        let mut twice = Roster::clone(roster);
+        twice.robots.push(twice.robots[0].clone());
+        assert_eq!(promise(check_roster(&twice)), "a robot stands once in a roster");
+
+        let embedding = oracle.embeddings.last().unwrap();
+        assert_eq!(check_embedding(embedding, &oracle.rosters), Ok(()));
+        let mut other = Embedding::clone(embedding);
+        other.robots[0] = RobotId::new("another").unwrap();
+        assert_eq!(
+            promise(check_embedding(&other, &oracle.rosters)),
+            "an embedding has the robots of the roster that it names"
+        );
+        let mut short = Embedding::clone(embedding);
+        short.values.pop();
+        assert_eq!(
+            promise(check_embedding(&short, &oracle.rosters)),
+            "an embedding has one vector for each robot"
+        );
+    }
+
+    #[test]
+    fn what_is_wrong_with_divisions_is_seen() {
+        let oracle = oracle_of_a_divided_fleet();
+        let teams = oracle.divisions.last().unwrap();
+        assert_eq!(check_division(teams, &oracle.embeddings), Ok(()));
+        let broken = |change: &dyn Fn(&mut Teams)| {
+            let mut broken = Teams::clone(teams);
+            change(&mut broken);
+            promise(check_division(&broken, &oracle.embeddings))
+        };
+        let too_many = "teams are distinct and no more than asked for";
+        assert_eq!(broken(&|teams| teams.requested -= 1), too_many);
+        assert_eq!(broken(&|teams| teams.teams[1].id = teams.teams[0].id.clone()), too_many);
+        let whole = "a team has members, one of which leads it, and a number that was given before";
+        assert_eq!(broken(&|teams| teams.next_team = 1), whole);
+        assert_eq!(broken(&|teams| teams.teams[0].leader = teams.teams[1].leader.clone()), whole);
+        let once = "a robot is in exactly one team, or in none";
+        assert_eq!(broken(&|teams| teams.unassigned.push(teams.teams[0].leader.clone())), once);
+        assert_eq!(
+            broken(&|teams| teams.embedding.epoch += 1_000_000),
+            "every division names an embedding that was published"
+        );
+    }
+
+    #[test]
+    fn a_robot_that_is_sent_another_team_is_seen() {
+        let oracle = oracle_of_a_divided_fleet();
+        let teams = oracle.divisions.last().unwrap();
+        let team = &teams.teams[0];
+        let right = RobotTeam {
+            header: teams.header.clone(),
+            robot: team.leader.clone(),
+            team: Some(team.id.clone()),
+            members: None,
+            leader: Some(team.leader.clone()),
+            confidence: 0.5,
+        };
+        assert_eq!(check_robot_team(&right, &oracle.divisions), Ok(()));
+        let other = Some(TeamId::numbered(1_000_000));
+        for wrong in [
+            RobotTeam { team: other, ..right.clone() },
+            RobotTeam { team: None, leader: None, ..right.clone() },
+            RobotTeam { leader: Some(teams.teams[1].leader.clone()), ..right.clone() },
+            RobotTeam { members: Some(Vec::new()), ..right },
+        ] {
+            assert_eq!(
+                promise(check_robot_team(&wrong, &oracle.divisions)),
+                "a robot is sent the team of the division"
+            );
+        }
+    }
+}

@@ -105,6 +105,13 @@ impl Limits {
         wanted.any(|id| has(now, id) && !has(before, id))
     }
 
+    /// Whether nothing is asked of teams: a team that is cut off may otherwise leave others without what they need.
+    pub(crate) fn are_none(&self) -> bool {
+        let settings = self.announced.last();
+        let asks = |last: &ClustererSettings| has_limits(last) || !last.needs.is_empty();
+        !settings.is_some_and(asks) && !self.has_current_wishes()
+    }
+
     /// Whether settings or wishes name a team that there may be only later, by a number that no team has had yet. After a
     /// restart of everything numbers go on higher, so that no team may ever have it.
     pub(crate) fn name_team_to_come(&self, teams: &Teams) -> bool {

@@ -123,7 +123,8 @@ mod tests {
                 MemoryUse { messages: full.messages + 1, ..full },
                 MemoryUse { offenders: full.offenders + 1, ..full },
             ] {
-                assert!(check_memory_use(service, more, bounds).is_err(), "{service}");
+                let broken = check_memory_use(service, more, bounds).unwrap_err();
+                assert_eq!(broken.promise, "the memory use of a service is bounded", "{service}");
             }
         }
     }

@@ -18,6 +18,8 @@ mod order;
 mod proposals;
 mod received;
 mod recorded;
+#[cfg(test)]
+mod samples;
 mod silhouettes;
 pub(crate) mod viewed;
 
@@ -185,6 +187,8 @@ pub(crate) struct Oracle {
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
     had_forged_terms: bool,
+    /// When a team last ended.
+    team_ended: Option<Micros>,
 }
 
 impl Oracle {
@@ -345,6 +349,10 @@ impl Oracle {
                 let (moved, renamed) = (BTreeSet::new(), false);
                 let teams_now = teams.clone();
                 let before = self.divisions.last();
+                let has = |id: &TeamId| teams.teams.iter().any(|team| team.id == *id);
+                if before.is_some_and(|before| before.teams.iter().any(|team| !has(&team.id))) {
+                    self.team_ended = Some(now);
+                }
                 let silent = before.map(|before| silent(before)).unwrap_or_default();
                 let divided =
                     Divided { publisher, settings, teams: teams_now, moved, renamed, silent };

@@ -181,7 +181,38 @@ fn agrees(report: &SilhouetteReport, points: &[Point<'_>]) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use super::super::samples::{oracle_of_a_divided_fleet, promise};
     use super::*;
+
+    #[test]
+    fn what_is_wrong_with_an_audit_is_seen() {
+        let oracle = oracle_of_a_divided_fleet();
+        let audit = oracle.audits.last().unwrap();
+        assert_eq!(check(audit, &oracle), Ok(()));
+        let broken = |change: &dyn Fn(&mut Audit)| {
+            let mut broken = Audit::clone(audit);
+            change(&mut broken);
+            promise(check(&broken, &oracle))
+        };
+        let too_high = |audit: &mut Audit| audit.in_embedding.per_robot[0].1 = 1.5;
+        assert_eq!(broken(&too_high), "silhouettes are between -1 and 1");
+        assert_eq!(
+            broken(&|audit| audit.teams.epoch += 1_000_000),
+            "every audit names a division and its embedding that were published"
+        );
+        let off = |report: &mut SilhouetteReport| {
+            let score = &mut report.per_robot[0].1;
+            *score += if *score > 0.0 { -1e-3 } else { 1e-3 };
+        };
+        assert_eq!(
+            broken(&|audit| off(&mut audit.in_embedding)),
+            "silhouettes are those of the definition"
+        );
+        assert_eq!(
+            broken(&|audit| off(&mut audit.in_physical)),
+            "silhouettes among positions are those of some roster"
+        );
+    }
 
     #[test]
     fn the_definition_gives_what_is_easily_worked_out() {

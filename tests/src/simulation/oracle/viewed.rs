@@ -372,3 +372,31 @@ impl Viewed {
 fn bits(color: Color) -> [u64; 3] {
     [color.r, color.g, color.b].map(f64::to_bits)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::samples::promise;
+    use super::*;
+
+    #[test]
+    fn a_change_by_a_viewer_of_a_program_that_is_read_only_is_seen() {
+        let mut viewed = Viewed::default();
+        viewed.takes(&Input::Set(1, Vec::new()));
+        assert_eq!(viewed.commands(1, ServiceName::Clusterer, true), Ok(()));
+        assert_eq!(
+            promise(viewed.commands(2, ServiceName::Clusterer, false)),
+            "viewers of a program that is read-only change nothing"
+        );
+    }
+
+    #[test]
+    fn a_second_answer_and_a_missing_one_are_seen() {
+        let mut viewed = Viewed::default();
+        viewed.asked(1, 0, 3);
+        assert_eq!(viewed.check_answered(10, 10), Ok(()));
+        let once = "whatever a viewer asks for is answered once";
+        assert_eq!(promise(viewed.check_answered(11, 10)), once);
+        assert_eq!(viewed.responds(1, &[]), Ok(3));
+        assert_eq!(promise(viewed.responds(1, &[]).map(|_| ())), once);
+    }
+}
