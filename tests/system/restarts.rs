@@ -132,7 +132,7 @@ const THREE_RECOVERED_WITHIN: Duration = Duration::from_secs(8);
 #[tokio::test(flavor = "multi_thread")]
 async fn three_services_die_at_once_and_the_teams_keep_their_ids() {
     let settings = [("clusterer", "teams=3"), ("ingest", "tick_hz=50")];
-    let mut cluster = Cluster::start("alpha", &settings).unwrap();
+    let mut cluster = Cluster::start_drawn("three_services_die", &settings, &SCENARIO).unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;
