@@ -284,6 +284,55 @@ fn the_robot_of_the_readme_is_the_one_that_is_compiled() {
     assert_eq!(block(&read("README.md"), "```rust\n"), block(&docs, "```no_run\n"));
 }
 
+/// Whether a source file has tests of its own.
+fn has_tests(path: &Path) -> bool {
+    std::fs::read_to_string(path).unwrap().contains("#[test]")
+}
+
+#[test]
+fn cargo_runs_every_test() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let output = Command::new(env!("CARGO"))
+        .args(["metadata", "--locked", "--no-deps", "--format-version", "1"])
+        .current_dir(&root)
+        .output()
+        .unwrap();
+    let metadata: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let mut gathered = 0;
+    for package in metadata["packages"].as_array().unwrap() {
+        let targets = package["targets"].as_array().unwrap();
+        let sources: Vec<&Path> =
+            targets.iter().map(|target| Path::new(target["src_path"].as_str().unwrap())).collect();
+        for (target, source) in targets.iter().zip(&sources) {
+            assert!(
+                target["kind"][0] != "bin" || target["test"] == true || !has_tests(source),
+                "{} has tests and `test = false`",
+                source.display()
+            );
+        }
+        // Where one program holds all tests, a file that it does not name is not compiled.
+        let folder = Path::new(package["manifest_path"].as_str().unwrap()).with_file_name("tests");
+        let main = folder.join("main.rs");
+        if !sources.contains(&main.as_path()) {
+            continue;
+        }
+        gathered += 1;
+        let modules = std::fs::read_to_string(&main).unwrap();
+        for entry in std::fs::read_dir(&folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+            assert!(
+                path.extension().is_none_or(|extension| extension != "rs")
+                    || sources.contains(&path.as_path())
+                    || modules.contains(&format!("mod {name};")),
+                "{} is a part of no program",
+                path.display()
+            );
+        }
+    }
+    assert!(gathered > 0);
+}
+
 /// Where the workspace's ban of unsafe code does not hold as it stands.
 const UNSAFE_ALLOWED_BY_MACROS: [&str; 1] = ["tests/peers/rust/Cargo.toml"];
 

@@ -1,10 +1,6 @@
 //! What the core computes, when, and what it does when it cannot.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
-mod common;
-
-use common::{Bench, Ingest, announced, announced_at, closed_forms, dot, robot, row};
+use crate::common::{Bench, Ingest, announced, announced_at, closed_forms, dot, robot, row};
 use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::EventKind;

@@ -1,12 +1,8 @@
 //! How the core follows rosters and graphs over a bus that loses, delays and repeats.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
-mod common;
-
 use std::sync::Arc;
 
-use common::{Bench, Ingest, Published, difference_of_shape, modality, patterns, settings};
+use crate::common::{Bench, Ingest, Published, difference_of_shape, modality, patterns, settings};
 use muster_model::content::Checked;
 use muster_model::event::EventKind;
 use muster_model::graph::{GraphReplica, GraphRow};

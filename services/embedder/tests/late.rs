@@ -1,10 +1,6 @@
 //! A busy host or link: snapshots are outdated when they come, and deltas arrive meanwhile.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
-mod common;
-
-use common::{Bench, Ingest, patterns};
+use crate::common::{Bench, Ingest, patterns};
 use muster_embedder::Embedder;
 use muster_service::inbox::{Inbox, Parcel};
 use muster_service::{Ask, Core, Input};

@@ -1,10 +1,6 @@
 //! Gets of the Katz similarity of two robots.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
-mod common;
-
-use common::{Bench, Ingest, closed_forms, modality};
+use crate::common::{Bench, Ingest, closed_forms, modality};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::settings::EmbedderSettings;
 use muster_numeric::katz::katz_similarity;

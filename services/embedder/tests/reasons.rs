@@ -1,10 +1,6 @@
 //! Gets that ask why a robot is in its team.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
-mod common;
-
-use common::{Bench, Ingest, announced, patterns, robot};
+use crate::common::{Bench, Ingest, announced, patterns, robot};
 use muster_method::division::divide;
 use muster_method::params::DivisionParams;
 use muster_model::content::{Checked, Content};

@@ -1,10 +1,6 @@
 //! A fleet that moves, and one that has come to rest.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
-mod common;
-
-use common::{Bench, Ingest, closed_forms};
+use crate::common::{Bench, Ingest, closed_forms};
 use muster_model::settings::{Alpha, EmbedderSettings, Normalization};
 
 /// Squads of five on a line, with a link to the next squad each, so many in all.

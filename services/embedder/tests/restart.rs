@@ -1,10 +1,6 @@
 //! What stands after a restart of everything: the number of teams that the fleet shows, and K.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
-mod common;
-
-use common::{Bench, Ingest};
+use crate::common::{Bench, Ingest};
 use muster_model::embedding::Embedding;
 use muster_model::settings::EmbedderSettings;
 use muster_service::Command;

@@ -1,11 +1,8 @@
 //! Every check on what robots say, and that a refused message changes nothing.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "this is a test")]
-
-mod bench;
-
-use bench::{
-    Bench, Put, bare_pose, links, links_to, modality, pose, rank, relation, report, robot, token,
+use crate::bench::{
+    self, Bench, Put, bare_pose, links, links_to, modality, pose, rank, relation, report, robot,
+    token,
 };
 use muster_model::observation::{Links, Observation, Pose, Relation};
 use muster_model::roster::Presence;

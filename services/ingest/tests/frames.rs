@@ -1,12 +1,10 @@
 //! What is published, and when.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "this is a test")]
-
-mod bench;
-
 use std::collections::BTreeMap;
 
-use bench::{Bench, bare_pose, links, modality, pose, rank, relation, report, seconds, token};
+use crate::bench::{
+    self, Bench, bare_pose, links, modality, pose, rank, relation, report, seconds, token,
+};
 use muster_ingest::Ingest;
 use muster_model::graph::{GraphDelta, GraphReplica};
 use muster_model::id::ServiceName;

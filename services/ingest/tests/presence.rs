@@ -1,10 +1,6 @@
 //! Who is there: joining, growing stale, leaving, with and without tokens, and lost links.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "this is a test")]
-
-mod bench;
-
-use bench::{Bench, links, pose, rank, token};
+use crate::bench::{self, Bench, links, pose, rank, token};
 use muster_model::event::EventKind;
 use muster_model::id::{InstanceId, ServiceName};
 use muster_model::role::ReplicaState;

@@ -1,11 +1,7 @@
 //! Random lives of a fleet: what a consumer follows is what a get answers, and what a restart
 //! restores.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "this is a test")]
-
-mod bench;
-
-use bench::{Bench, Put, links, modality, named, pose, rank, relation, seconds, token};
+use crate::bench::{Bench, Put, links, modality, named, pose, rank, relation, seconds, token};
 use muster_model::graph::GraphReplica;
 use muster_model::roster::{Presence, RosterEntry};
 use muster_model::settings::{IngestSettings, Settings};

@@ -1,13 +1,10 @@
 //! A new process takes up what other services remember of the last one.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "this is a test")]
-
-mod bench;
-
 use std::sync::Arc;
 
-use bench::{
-    Bench, Named, bare_pose, links, modality, pose, rank, relation, report, robot, seconds, token,
+use crate::bench::{
+    self, Bench, Named, bare_pose, links, modality, pose, rank, relation, report, robot, seconds,
+    token,
 };
 use muster_model::content::Checked;
 use muster_model::graph::GraphDelta;

@@ -1,7 +1,5 @@
 //! Prices under wishes that robots be apart.
 
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use muster_method::limited::{Limits, divide_within, optimality};
 use muster_method::params::DivisionParams;
 use muster_numeric::assignment::{Bounds, Relation, Rules, Wish, Wishes};

@@ -1,7 +1,5 @@
 //! One frame of a large fleet takes a bounded time, whatever its graphs are like.
 
-#![allow(clippy::unwrap_used, reason = "a helper of tests that fails has found a fault")]
-
 use std::sync::Arc;
 
 use muster_method::embedding::{Embedded, Frames, embed};

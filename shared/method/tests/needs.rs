@@ -1,7 +1,5 @@
 //! Needs of overlapping skills in fleets of a usual size: the bounded search finds what is there.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
 use muster_method::limited::{LimitedError, Limits, divide_within};
 use muster_method::params::DivisionParams;
 use muster_numeric::assignment::{Bounds, Column, Need, Rules, Wishes};

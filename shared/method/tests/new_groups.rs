@@ -1,7 +1,5 @@
 //! Groups that become strong while a fleet of a fixed dimension is followed, as the embedder follows it.
 
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::sync::Arc;
 
 use muster_method::embedding::{Frames, embed};

@@ -1,7 +1,5 @@
 //! The pulls of the modalities add up to the score that puts a robot into its team.
 
-#![allow(clippy::unwrap_used, reason = "a helper of tests that fails has found a fault")]
-
 use std::sync::Arc;
 
 use muster_method::division::divide;

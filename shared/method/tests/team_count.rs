@@ -1,7 +1,5 @@
 //! The number of teams that relations show where one of them relates a part of the fleet alone.
 
-#![allow(clippy::unwrap_used, reason = "a helper of tests that fails has found a fault")]
-
 use std::sync::Arc;
 
 use muster_method::embedding::embed;

@@ -1,7 +1,5 @@
 //! Modalities that contradict all others lose their weight, and get it back.
 
-#![allow(clippy::unwrap_used, reason = "a helper of tests that fails has found a fault")]
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 

@@ -1,9 +1,5 @@
 //! Cheapest assignments against brute force, and their certificates.
-#![allow(clippy::unwrap_used, clippy::panic)]
-
-mod common;
-
-use common::teams::{
+use crate::common::teams::{
     Shape, column_at, cost, holds, least_cost, random_costs, random_rules, satisfiable,
     single_rules,
 };

@@ -1,9 +1,5 @@
 //! Together, apart and overlapping needs, against brute force.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::teams::{
+use crate::common::teams::{
     Shape, column_at, holds, labellings, least_cost, random_costs, random_rules, single_rules,
 };
 use muster_numeric::assignment::{
@@ -119,7 +115,7 @@ proptest! {
                 let labels: Vec<usize> =
                     found.columns.iter().map(|column| rules.index_of(*column).unwrap()).collect();
                 prop_assert!(single_rules(&rules).iter().all(|rule| holds(&rules, rule, &labels)));
-                let cost = common::teams::cost(&rules, &costs, &labels)
+                let cost = crate::common::teams::cost(&rules, &costs, &labels)
                     + extra(&rules, wishes, &labels).unwrap();
                 prop_assert_eq!(cost, found.cost);
             }

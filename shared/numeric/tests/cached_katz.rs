@@ -1,10 +1,6 @@
 //! The kept similarity against one that is solved from scratch.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::fleet::Fleet;
-use common::*;
+use crate::common::fleet::Fleet;
+use crate::common::*;
 use muster_numeric::cached_katz::{CachedKatz, MAX_CACHED_NODES, MAX_PROBE, Method, Update};
 use muster_numeric::fuse::{Normalization, fuse};
 use muster_numeric::katz::{Alpha, KatzError, katz_similarity, resolve_alpha};

@@ -1,9 +1,5 @@
 //! What is said about a decomposition against exact references, on graphs that are hard for it.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::*;
+use crate::common::*;
 use muster_numeric::katz::{MAX_KATZ_PROBE, katz_probe, katz_similarity};
 use muster_numeric::katz_column::katz_column;
 use muster_numeric::katz_svd::{KatzSvd, KatzSvdOptions};

@@ -1,10 +1,6 @@
 //! Searches that begin with nothing, against the whole decomposition: what the symmetric part of a graph
 //! shows, and what it does not.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::*;
+use crate::common::*;
 use muster_numeric::katz::katz_similarity;
 use muster_numeric::katz_svd::{KatzSvd, KatzSvdOptions};
 use muster_numeric::matrix::SparseMatrix;

@@ -1,9 +1,5 @@
 //! Representations and their alignment from frame to frame.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::*;
+use crate::common::*;
 use muster_numeric::alignment::{AlignError, align};
 use muster_numeric::embedding::{Embedding, Rows, Scale, embed};
 use muster_numeric::katz::{Alpha, katz_similarity, resolve_alpha};

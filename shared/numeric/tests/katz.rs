@@ -1,9 +1,5 @@
 //! Katz similarity: closed forms, series, refusals.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::*;
+use crate::common::*;
 use muster_numeric::katz::{Alpha, KatzError, katz_probe, katz_similarity, resolve_alpha};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::spectral_radius::spectral_radius;

@@ -1,7 +1,5 @@
 //! The leading triplets against the full decomposition, from frame to frame.
 
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use muster_numeric::katz::{KatzError, katz_similarity};
 use muster_numeric::katz_svd::{KatzSvd, KatzSvdError, KatzSvdOptions, KatzSvdOptionsError};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};

@@ -1,7 +1,5 @@
 //! Triplets that are updated after a change of few rows, against passes over all rows.
 
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use muster_numeric::katz_svd::{KatzSvd, KatzSvdError, KatzSvdOptions, KatzSvdReport};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::spectral_radius::{SpectralRadius, spectral_radius};

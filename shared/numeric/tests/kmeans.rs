@@ -1,9 +1,5 @@
 //! Divisions by k-means.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::{blobs, distance, numbers};
+use crate::common::{blobs, distance, numbers};
 use muster_numeric::kmeans::{Init, KMeansError, KMeansOptions, KMeansOptionsError, kmeans, lloyd};
 use muster_numeric::matrix::DenseMatrix;
 use proptest::prelude::*;

@@ -1,10 +1,6 @@
 //! k-means under limits.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::teams::{Shape, holds, labellings, random_rules, single_rules};
-use common::{blobs, distance};
+use crate::common::teams::{Shape, holds, labellings, random_rules, single_rules};
+use crate::common::{blobs, distance};
 use muster_numeric::assignment::{
     AssignmentError, Bounds, ClassLimit, Column, Pair, Rules, ValidRules, Wanted,
 };

@@ -1,9 +1,5 @@
 //! k-means without limits takes the recorded path, bit for bit.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::{blobs, numbers};
+use crate::common::{blobs, numbers};
 use muster_numeric::kmeans::{Init, KMeansOptions, kmeans};
 
 /// Digest of labels and centroids (FNV-1a), and the iterations, of each seed: cold with both ways to seed, warm

@@ -1,9 +1,5 @@
 //! Construction of matrices, and fusion.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::{directed_graphs, graph, path, star};
+use crate::common::{directed_graphs, graph, path, star};
 use muster_numeric::fuse::{FuseError, Normalization, WeightedGraph, fuse};
 use muster_numeric::matrix::{DenseMatrix, MAX_ENTRY, MatrixError, SparseMatrix};
 use muster_numeric::norm::spectral_norm;

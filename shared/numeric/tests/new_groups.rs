@@ -1,9 +1,5 @@
 //! Groups that become strong after a search has begun to follow others.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::*;
+use crate::common::*;
 use muster_numeric::katz_svd::{KatzSvd, KatzSvdOptions};
 use muster_numeric::matrix::SparseMatrix;
 use muster_numeric::spectral_radius::{SpectralRadius, spectral_radius};

@@ -1,11 +1,7 @@
 //! The similarity and its decomposition, by every method, against independent oracles of more
 //! digits.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::precise::{Columns, decomposed, rational, series};
-use common::*;
+use crate::common::precise::{Columns, decomposed, rational, series};
+use crate::common::*;
 use muster_numeric::cached_katz::CachedKatz;
 use muster_numeric::katz::katz_similarity;
 use muster_numeric::katz_svd::{KatzSvd, KatzSvdOptions};

@@ -1,10 +1,6 @@
 //! Properties of all graphs on the way to singular vectors, for every method.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::fleet::Fleet;
-use common::*;
+use crate::common::fleet::Fleet;
+use crate::common::*;
 use muster_numeric::embedding::{Rows, Scale, embed};
 use muster_numeric::fuse::{Normalization, fuse};
 use muster_numeric::katz::katz_similarity;

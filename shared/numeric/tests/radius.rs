@@ -1,9 +1,5 @@
 //! Spectral radii: closed forms, bounds, invariances.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::*;
+use crate::common::*;
 use muster_numeric::spectral_radius::{SpectralRadius, spectral_radius};
 use proptest::prelude::*;
 use std::f64::consts::PI;

@@ -1,9 +1,5 @@
 //! Bounds of the spectral radius for moving fleets: always true, and narrow where promised.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::*;
+use crate::common::*;
 use muster_numeric::alpha_band::AlphaBand;
 use muster_numeric::katz::{Alpha, KatzError, katz_similarity, resolve_alpha};
 use muster_numeric::matrix::SparseMatrix;

@@ -1,9 +1,5 @@
 //! Silhouettes and margins.
-#![allow(clippy::unwrap_used)]
-
-mod common;
-
-use common::{blobs, distance, numbers};
+use crate::common::{blobs, distance, numbers};
 use muster_numeric::margins::{MarginError, margins};
 use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::silhouette::{

@@ -1,12 +1,9 @@
 //! What operators command is done once, by whom they say they are, and remembered.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
-mod small;
-
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::small::{self, Driven, ONE_LEADS, START, renewal, settings, token};
 use muster_model::command::{CommandOutcome, MAX_REMEMBERED_COMMANDS, MAX_REMEMBERED_REFUSALS};
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
@@ -15,7 +12,6 @@ use muster_model::role::ReplicaState;
 use muster_service::{Command, GetId, IncomingGet, Input, Stored};
 use muster_wire::Message;
 use serde_json::{Value, json};
-use small::{Driven, ONE_LEADS, START, renewal, settings, token};
 
 /// Sends a command and returns its answer.
 fn command(driven: &mut Driven, key: &str, content: &Value) -> Result<Value, String> {

@@ -1,11 +1,11 @@
 //! What the host does around any core: replies, gets, jobs, suppressed output, fetches, records.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
-mod small;
-
 use std::time::Duration;
 
+use crate::small::{
+    self, CHANGED, Driven, EVERY_INSTANCE, ONE_LEADS, Small, header, order, output, pose, renewal,
+    settings, space, token,
+};
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
 use muster_model::history::{
@@ -19,10 +19,6 @@ use muster_service::inbox::{Inbox, Parcel};
 use muster_service::testkit::Bench;
 use muster_service::{Command, Delivery, GetId, IncomingGet, Input, Start, Stored, Wiring};
 use muster_wire::{Attachment, ForeignPattern, Key, Message, Packet, Pattern, Source};
-use small::{
-    CHANGED, Driven, EVERY_INSTANCE, ONE_LEADS, Small, header, order, output, pose, renewal,
-    settings, space, token,
-};
 
 const SERVICE: ServiceName = ServiceName::Clusterer;
 

@@ -1,20 +1,12 @@
 //! Every kind of input and command comes back from a recording, and a core that does something else
 //! is found out.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test fails by panicking"
-)]
-
-mod small;
-
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Write as _;
 use std::ops::ControlFlow;
 use std::time::Duration;
 
+use crate::small::{self, CHANGED, ONE_LEADS, Small, order, pose, space};
 use muster_model::event::Severity;
 use muster_model::header::Revision;
 use muster_model::history::{
@@ -35,7 +27,6 @@ use muster_service::{
 use muster_wire::recording::{Reader, begin, frame};
 use muster_wire::{Key, Message, Packet, Pattern, Source};
 use proptest::prelude::*;
-use small::{CHANGED, ONE_LEADS, Small, order, pose, space};
 
 fn start() -> Start<ClustererSettings> {
     let mut stored = Stored { term: 7, ..Stored::default() };

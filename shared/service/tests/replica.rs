@@ -1,17 +1,13 @@
 //! What an instance does with the settings of its service, and when a suspicion ends.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
-mod small;
-
 use std::time::Duration;
 
+use crate::small::{self, ONE_LEADS, header, output, renewal, settings, token};
 use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 use muster_service::{Ask, Input, Stored};
 use muster_wire::{Key, Message, Pattern};
-use small::{ONE_LEADS, header, output, renewal, settings, token};
 
 type Driven = small::Driven<ONE_LEADS>;
 

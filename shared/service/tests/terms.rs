@@ -1,16 +1,8 @@
 //! Terms that follow the clock, terms that are not believed, and what is said when state is lost.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test fails by panicking"
-)]
-
-mod small;
-
 use std::time::Duration;
 
+use crate::small::{self, Driven, ONE_LEADS, Small, header, output, renewal, token};
 use muster_model::event::{EventKind, Severity};
 use muster_model::header::Revision;
 use muster_model::limits::MAX_REVISION;
@@ -21,7 +13,6 @@ use muster_model::time::Tick;
 use muster_service::testkit::Bench;
 use muster_service::{Input, Start, Stored};
 use muster_wire::Message;
-use small::{Driven, ONE_LEADS, Small, header, output, renewal, token};
 
 /// A right clock: November 2026.
 const RIGHT_S: u64 = 1_795_000_000;

@@ -2,10 +2,7 @@
 //!
 //! A deliberate change of the schema is a new `VERSION`; then run with `UPDATE_GOLDEN=1`.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
-mod samples;
-
+use crate::samples;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 

@@ -1,9 +1,6 @@
 //! Recordings: nothing is lost in them, and no damage does harm.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
-mod samples;
-
+use crate::samples;
 use muster_model::id::{InstanceId, ServiceName};
 use muster_wire::recording::{MAGIC, Reader, RecordingError, VERSION, begin, frame};
 use muster_wire::{Format, KeySpace, Message, Packet, Source};

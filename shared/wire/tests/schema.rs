@@ -4,10 +4,7 @@
 //! Whether it describes what services write is tested against whole processes, with a validator that
 //! somebody else wrote.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
-mod samples;
-
+use crate::samples;
 use std::collections::BTreeSet;
 use std::path::Path;
 

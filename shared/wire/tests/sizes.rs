@@ -1,9 +1,6 @@
 //! The largest content of services fits a message.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
-mod samples;
-
+use crate::samples;
 use std::sync::Arc;
 
 use muster_model::content::Checked;

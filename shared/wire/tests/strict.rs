@@ -1,10 +1,7 @@
 //! Every JSON message is read by a parser that refuses a name that stands twice in one object. Most parsers
 //! accept it, and differ in which of the two they keep.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
-mod samples;
-
+use crate::samples;
 use std::collections::BTreeSet;
 use std::fmt;
 

@@ -1,8 +1,6 @@
 //! A small `ingest` that publishes the truth, and an embedder on the common bench.
 
 // Each test file uses a part of it, and clippy's allowance for tests ends at `#[test]`.
-#![allow(clippy::unwrap_used, clippy::panic, dead_code, unreachable_pub)]
-
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
@@ -24,16 +22,16 @@ use muster_wire::{Key, KeySpace, Message, Pattern};
 /// Seconds since the epoch at which every test begins, in microseconds.
 const BEGIN: Tick = Tick(1_000_000_000_000);
 
-pub fn robot(name: &str) -> RobotId {
+pub(crate) fn robot(name: &str) -> RobotId {
     RobotId::new(name).unwrap()
 }
 
-pub fn modality(name: &str) -> Modality {
+pub(crate) fn modality(name: &str) -> Modality {
     Modality::new(name).unwrap()
 }
 
 /// Settings of which closed forms are known: graphs divided by their norms, without self-loops, αρ a half.
-pub fn closed_forms() -> EmbedderSettings {
+pub(crate) fn closed_forms() -> EmbedderSettings {
     EmbedderSettings {
         normalize: Normalization::Spectral,
         self_loops: 0.0,
@@ -44,45 +42,45 @@ pub fn closed_forms() -> EmbedderSettings {
 
 /// What one frame puts on the bus: the graphs that changed, then the roster.
 #[derive(Debug, Clone)]
-pub struct Published {
-    pub graphs: Vec<Arc<GraphDelta>>,
-    pub roster: Checked<Roster>,
+pub(crate) struct Published {
+    pub(crate) graphs: Vec<Arc<GraphDelta>>,
+    pub(crate) roster: Checked<Roster>,
 }
 
 impl Published {
-    pub fn graph(&self, name: &str) -> Message {
+    pub(crate) fn graph(&self, name: &str) -> Message {
         let found = self.graphs.iter().find(|delta| delta.modality == modality(name));
         Message::Graph(found.unwrap().clone())
     }
 
-    pub fn roster(&self) -> Message {
+    pub(crate) fn roster(&self) -> Message {
         Message::Roster(self.roster.clone())
     }
 
-    pub fn messages(&self) -> impl Iterator<Item = Message> {
+    pub(crate) fn messages(&self) -> impl Iterator<Item = Message> {
         self.graphs.iter().cloned().map(Message::Graph).chain([self.roster()])
     }
 }
 
 /// The truth, and what has been published of it.
 #[derive(Debug, Default)]
-pub struct Ingest {
+pub(crate) struct Ingest {
     revision: Revision,
     next_node: Node,
     robots: BTreeMap<RobotId, Node>,
     edges: BTreeMap<Modality, BTreeMap<(RobotId, RobotId), f64>>,
-    pub published: BTreeMap<Modality, GraphReplica>,
+    pub(crate) published: BTreeMap<Modality, GraphReplica>,
     last: Option<Checked<Roster>>,
 }
 
 impl Ingest {
-    pub fn new(names: &[&str]) -> Self {
+    pub(crate) fn new(names: &[&str]) -> Self {
         let edges = names.iter().map(|name| (modality(name), BTreeMap::new())).collect();
         Self { revision: Revision { term: 1, epoch: 0 }, edges, ..Self::default() }
     }
 
     /// A fleet of two cliques of which each is related by every modality.
-    pub fn two_cliques(names: &[&str], size: usize) -> Self {
+    pub(crate) fn two_cliques(names: &[&str], size: usize) -> Self {
         let mut ingest = Self::new(names);
         for name in names {
             ingest.clique(name, "a", size, 1.0);
@@ -91,7 +89,7 @@ impl Ingest {
         ingest
     }
 
-    pub fn clique(&mut self, name: &str, prefix: &str, size: usize, weight: f64) {
+    pub(crate) fn clique(&mut self, name: &str, prefix: &str, size: usize, weight: f64) {
         for i in 0..size {
             self.join(&format!("{prefix}{i}"));
         }
@@ -103,7 +101,7 @@ impl Ingest {
     }
 
     /// A new leader: other node numbers, snapshots first.
-    pub fn restart(&mut self) {
+    pub(crate) fn restart(&mut self) {
         self.revision = Revision { term: self.revision.term + 1, epoch: 0 };
         self.published.clear();
         self.last = None;
@@ -114,14 +112,14 @@ impl Ingest {
         }
     }
 
-    pub fn join(&mut self, name: &str) {
+    pub(crate) fn join(&mut self, name: &str) {
         if let std::collections::btree_map::Entry::Vacant(entry) = self.robots.entry(robot(name)) {
             entry.insert(self.next_node);
             self.next_node += 1;
         }
     }
 
-    pub fn leave(&mut self, name: &str) {
+    pub(crate) fn leave(&mut self, name: &str) {
         self.robots.remove(&robot(name));
         for edges in self.edges.values_mut() {
             edges.retain(|(from, to), _| *from != robot(name) && *to != robot(name));
@@ -129,7 +127,7 @@ impl Ingest {
     }
 
     /// Sets an edge between robots that are there; zero takes it away.
-    pub fn edge(&mut self, name: &str, from: &str, to: &str, weight: f64) {
+    pub(crate) fn edge(&mut self, name: &str, from: &str, to: &str, weight: f64) {
         let ends = (robot(from), robot(to));
         if !self.robots.contains_key(&ends.0) || !self.robots.contains_key(&ends.1) {
             return;
@@ -142,7 +140,7 @@ impl Ingest {
         };
     }
 
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.robots.len()
     }
 
@@ -179,7 +177,7 @@ impl Ingest {
     }
 
     /// The next frame.
-    pub fn frame(&mut self, now: Tick) -> Published {
+    pub(crate) fn frame(&mut self, now: Tick) -> Published {
         self.revision.epoch += 1;
         let mut graphs = Vec::new();
         for name in self.edges.keys().cloned().collect::<Vec<_>>() {
@@ -220,7 +218,7 @@ impl Ingest {
     }
 
     /// What a get is answered with.
-    pub fn answer(&self, patterns: &[Pattern]) -> Vec<Message> {
+    pub(crate) fn answer(&self, patterns: &[Pattern]) -> Vec<Message> {
         let Some(roster) = &self.last else { return Vec::new() };
         let snapshot = |name: &Modality| {
             let snapshot = self.published.get(name)?.snapshot(roster.header.clone(), name.clone());
@@ -273,16 +271,16 @@ fn is_empty(delta: &GraphDelta) -> bool {
 }
 
 /// An embedder on the common bench, with what it published and asks for in order.
-pub struct Bench {
+pub(crate) struct Bench {
     kit: testkit::Bench<Embedder>,
-    pub published: Vec<Checked<Embedding>>,
-    pub events: Vec<EventKind>,
+    pub(crate) published: Vec<Checked<Embedding>>,
+    pub(crate) events: Vec<EventKind>,
     /// Fetches of rosters and graphs that wait.
-    pub fetches: VecDeque<Vec<Ask>>,
+    pub(crate) fetches: VecDeque<Vec<Ask>>,
     /// Questions what readers have seen of the output that wait.
-    pub term_checks: VecDeque<Vec<Ask>>,
+    pub(crate) term_checks: VecDeque<Vec<Ask>>,
     /// Fetches of the clusterer's settings alone that wait.
-    pub settings_fetches: VecDeque<Vec<Ask>>,
+    pub(crate) settings_fetches: VecDeque<Vec<Ask>>,
 }
 
 impl Deref for Bench {
@@ -301,7 +299,7 @@ impl DerefMut for Bench {
 
 impl Bench {
     /// One to which nothing has happened.
-    pub fn new(settings: EmbedderSettings) -> Self {
+    pub(crate) fn new(settings: EmbedderSettings) -> Self {
         let start = Start {
             fleet: FleetId::new("f").unwrap(),
             instance: InstanceId::new("i").unwrap(),
@@ -320,7 +318,7 @@ impl Bench {
     }
 
     /// One that leads, and whose inquiry two seconds ago is answered now.
-    pub fn started(settings: EmbedderSettings, answers: Vec<Message>) -> Self {
+    pub(crate) fn started(settings: EmbedderSettings, answers: Vec<Message>) -> Self {
         let mut bench = Self::new(settings);
         bench.kit.start(answers);
         bench.read();
@@ -328,7 +326,7 @@ impl Bench {
     }
 
     /// One that begins after a power cut with what it has kept: no one answers its inquiry.
-    pub fn restarted(settings: EmbedderSettings, kept: Vec<u8>) -> Self {
+    pub(crate) fn restarted(settings: EmbedderSettings, kept: Vec<u8>) -> Self {
         let mut bench = Self::new(settings);
         bench.kit.input(Input::Restored(kept));
         bench.kit.start(Vec::new());
@@ -337,7 +335,7 @@ impl Bench {
     }
 
     /// The same with default settings and an empty bus.
-    pub fn fresh() -> Self {
+    pub(crate) fn fresh() -> Self {
         Self::started(EmbedderSettings::default(), Vec::new())
     }
 
@@ -369,58 +367,58 @@ impl Bench {
         }
     }
 
-    pub fn input(&mut self, input: Input) {
+    pub(crate) fn input(&mut self, input: Input) {
         self.kit.input(input);
         self.read();
     }
 
     /// Runs the job that waits, if one does.
-    pub fn run_job(&mut self) {
+    pub(crate) fn run_job(&mut self) {
         self.kit.run_job();
         self.read();
     }
 
-    pub fn panic_job(&mut self, said: &str) {
+    pub(crate) fn panic_job(&mut self, said: &str) {
         self.kit.panic_job(said);
         self.read();
     }
 
-    pub fn receive(&mut self, message: Message) {
+    pub(crate) fn receive(&mut self, message: Message) {
         self.kit.receive(message);
         self.read();
     }
 
     /// A message arrives as a packet, and is decoded.
-    pub fn receive_encoded(&mut self, message: &Message) {
+    pub(crate) fn receive_encoded(&mut self, message: &Message) {
         let space = KeySpace::new(FleetId::new("f").unwrap());
         self.kit.receive_packet(message.to_packet(&space));
         self.read();
     }
 
-    pub fn deliver(&mut self, frame: &Published) {
+    pub(crate) fn deliver(&mut self, frame: &Published) {
         frame.messages().for_each(|message| self.receive(message));
     }
 
     /// The next frame of the fleet, a tenth of a second later, whole.
-    pub fn frame(&mut self, ingest: &mut Ingest) -> Published {
+    pub(crate) fn frame(&mut self, ingest: &mut Ingest) -> Published {
         self.wait(0.1);
         let frame = ingest.frame(self.now);
         self.deliver(&frame);
         frame
     }
 
-    pub fn wait(&mut self, seconds: f64) {
+    pub(crate) fn wait(&mut self, seconds: f64) {
         self.kit.wait(seconds);
         self.read();
     }
 
-    pub fn answer_fetch(&mut self, fetch: Vec<Ask>, answers: Vec<Message>) {
+    pub(crate) fn answer_fetch(&mut self, fetch: Vec<Ask>, answers: Vec<Message>) {
         self.kit.answer_fetch(fetch, answers);
         self.read();
     }
 
     /// Answers the fetches that wait with the truth; how many there were.
-    pub fn answer_fetches(&mut self, ingest: &Ingest) -> usize {
+    pub(crate) fn answer_fetches(&mut self, ingest: &Ingest) -> usize {
         let mut count = 0;
         while let Some(fetch) = self.fetches.pop_front() {
             let answers = ingest.answer(&patterns(&fetch));
@@ -430,61 +428,61 @@ impl Bench {
         count
     }
 
-    pub fn get(&mut self, key: &str, payload: Option<&str>) -> Result<Vec<Message>, String> {
+    pub(crate) fn get(&mut self, key: &str, payload: Option<&str>) -> Result<Vec<Message>, String> {
         let answer = self.kit.get(key, payload);
         self.read();
         answer
     }
 
-    pub fn set(&mut self, patch: &str) {
+    pub(crate) fn set(&mut self, patch: &str) {
         self.get("service/embedder/settings", Some(patch)).unwrap();
     }
 
     /// The clusterer announces its settings.
-    pub fn receive_teams(&mut self, settings: &str) {
+    pub(crate) fn receive_teams(&mut self, settings: &str) {
         self.receive(announced(settings));
     }
 
-    pub fn state(&mut self) -> String {
+    pub(crate) fn state(&mut self) -> String {
         match self.get("service/embedder/status", None).unwrap().pop() {
             Some(Message::Status(status)) => status.state,
             other => panic!("{other:?} is no status"),
         }
     }
 
-    pub fn last(&self) -> &Embedding {
+    pub(crate) fn last(&self) -> &Embedding {
         self.published.last().unwrap()
     }
 
     /// How often a failure was reported.
-    pub fn failures(&self) -> usize {
+    pub(crate) fn failures(&self) -> usize {
         self.events.iter().filter(|kind| matches!(kind, EventKind::JobFailed { .. })).count()
     }
 
-    pub fn quarantined(&self) -> Vec<&EventKind> {
+    pub(crate) fn quarantined(&self) -> Vec<&EventKind> {
         let is = |kind: &&EventKind| matches!(kind, EventKind::Quarantined { .. });
         self.events.iter().filter(is).collect()
     }
 }
 
 /// What a fetch asks for.
-pub fn patterns(fetch: &[Ask]) -> Vec<Pattern> {
+pub(crate) fn patterns(fetch: &[Ask]) -> Vec<Pattern> {
     fetch.iter().map(|ask| ask.pattern.clone()).collect()
 }
 
 /// The vector of a robot.
-pub fn row<'a>(embedding: &'a Embedding, name: &str) -> &'a [f64] {
+pub(crate) fn row<'a>(embedding: &'a Embedding, name: &str) -> &'a [f64] {
     let at = embedding.robots.binary_search(&robot(name)).unwrap();
     let dimension = embedding.dimension as usize;
     &embedding.values[at * dimension..(at + 1) * dimension]
 }
 
-pub fn dot(left: &[f64], right: &[f64]) -> f64 {
+pub(crate) fn dot(left: &[f64], right: &[f64]) -> f64 {
     left.iter().zip(right).map(|(l, r)| l * r).sum()
 }
 
 /// Largest difference between the inner products of rows: zero if one embedding is the other turned.
-pub fn difference_of_shape(left: &Embedding, right: &Embedding) -> f64 {
+pub(crate) fn difference_of_shape(left: &Embedding, right: &Embedding) -> f64 {
     assert_eq!((&left.robots, left.dimension), (&right.robots, right.dimension));
     let rows = |embedding: &Embedding| -> Vec<Vec<f64>> {
         let dimension = embedding.dimension.max(1) as usize;
@@ -501,17 +499,17 @@ pub fn difference_of_shape(left: &Embedding, right: &Embedding) -> f64 {
 }
 
 /// The key of the clusterer's settings.
-pub fn settings() -> Pattern {
+pub(crate) fn settings() -> Pattern {
     Pattern::One(Key::Settings(ServiceName::Clusterer))
 }
 
 /// Settings of the clusterer as it announces them.
-pub fn announced(settings: &str) -> Message {
+pub(crate) fn announced(settings: &str) -> Message {
     announced_at(Revision { term: 1, epoch: 1 }, settings)
 }
 
 /// The same, with the revision of a certain output of the clusterer.
-pub fn announced_at(revision: Revision, settings: &str) -> Message {
+pub(crate) fn announced_at(revision: Revision, settings: &str) -> Message {
     Message::Settings(Box::new(AnnouncedSettings {
         header: Header {
             fleet: FleetId::new("f").unwrap(),

@@ -1,8 +1,5 @@
 //! An `ingest` on the common bench, whose every output is followed as a consumer does.
 
-#![allow(dead_code, reason = "each test file uses another part")]
-#![allow(clippy::unwrap_used, clippy::panic, reason = "this is a test")]
-
 use std::collections::BTreeMap;
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;

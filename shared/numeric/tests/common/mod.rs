@@ -1,6 +1,4 @@
 //! Graphs with known spectra, and strategies for random ones.
-#![allow(dead_code, clippy::unwrap_used)]
-
 pub(crate) mod fleet;
 pub(crate) mod precise;
 pub(crate) mod teams;

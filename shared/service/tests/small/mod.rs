@@ -1,8 +1,5 @@
 //! A small core that does everything that cores do, and a host of it that is driven by hand.
 
-#![allow(dead_code, reason = "each test file uses another part")]
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 

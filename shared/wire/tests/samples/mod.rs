@@ -1,7 +1,5 @@
 //! One message of every kind, with every field filled.
 
-#![allow(unreachable_pub, dead_code, reason = "shared by test programs that use parts of it")]
-
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -47,13 +45,13 @@ use muster_wire::Message;
 use muster_wire::envelope::AnnouncedSettings;
 
 /// The moment at which all samples are written.
-pub const NOW: Tick = Tick(1_795_208_990_000_000);
+pub(crate) const NOW: Tick = Tick(1_795_208_990_000_000);
 
-pub fn fleet() -> FleetId {
+pub(crate) fn fleet() -> FleetId {
     FleetId::new("alpha").unwrap()
 }
 
-pub fn robot(name: &str) -> RobotId {
+pub(crate) fn robot(name: &str) -> RobotId {
     RobotId::new(name).unwrap()
 }
 
@@ -69,7 +67,7 @@ fn revision(epoch: u64) -> Revision {
     Revision { term: 3, epoch }
 }
 
-pub fn header(epoch: u64) -> Header {
+pub(crate) fn header(epoch: u64) -> Header {
     let tick = |ms: u64| Tick(NOW.0 - 1_000_000 + ms * 1000);
     Header {
         fleet: fleet(),
@@ -91,7 +89,7 @@ fn provenance() -> (Option<f64>, Option<String>, Option<u64>) {
     (Some(1_795_208_988.7), Some("a1".to_owned()), Some(17))
 }
 
-pub fn all() -> Vec<(&'static str, Message)> {
+pub(crate) fn all() -> Vec<(&'static str, Message)> {
     let (stamp, boot, seq) = provenance();
     let pose = Pose {
         x: 1.0,
@@ -485,7 +483,7 @@ fn history() -> HistoryAnswer {
 }
 
 /// One of every kind of rows that a history answers, by name, but the division at a moment.
-pub fn history_rows() -> Vec<(&'static str, Rows)> {
+pub(crate) fn history_rows() -> Vec<(&'static str, Rows)> {
     let at = Tick(NOW.0 - 30_000_000);
     let division = DivisionRow {
         sequence: 40,
@@ -542,7 +540,7 @@ pub fn history_rows() -> Vec<(&'static str, Rows)> {
 }
 
 /// An answer of a history with these rows, and more behind them.
-pub fn history_of(rows: Rows) -> Message {
+pub(crate) fn history_of(rows: Rows) -> Message {
     Message::History(Box::new(HistoryAnswer { rows, before: Some(40), ..history() }))
 }
 
@@ -593,7 +591,7 @@ fn alerts() -> Alerts {
 }
 
 /// One of every kind of event; the changes of a division with every kind of change.
-pub fn event_kinds() -> Vec<EventKind> {
+pub(crate) fn event_kinds() -> Vec<EventKind> {
     let r1 = || robot("r1");
     let (t1, t2) = (team("t1"), team("t2"));
     let reason = || "alpha: must be below 1/rho".to_owned();

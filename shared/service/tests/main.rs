@@ -1,0 +1,15 @@
+//! All tests of what all services share in one program, which is linked once.
+
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unwrap_used,
+    reason = "a test fails by panicking"
+)]
+
+mod commands;
+mod host;
+mod recording;
+mod replica;
+mod small;
+mod terms;
