@@ -32,7 +32,7 @@ use muster_service::{
 };
 use muster_wire::{Key, Message, Pattern, Request};
 
-use crate::dwell::{CountDwell, MoveDwell};
+use crate::dwell::{CountDwell, MoveDwell, TEAM_COUNT_DWELL};
 use crate::keeping::Keeping;
 use crate::publishing::Rotation;
 use crate::wishes::WishBook;
@@ -67,7 +67,7 @@ struct Task {
     wished: BTreeSet<TeamId>,
     /// How many teams.
     teams: u32,
-    /// Whether robots stay in their last team.
+    /// Which robots stay in their last team.
     staying: Staying,
 }
 
@@ -223,11 +223,14 @@ impl Clusterer {
         context.start_job(slot, job);
     }
 
-    /// Whether robots stay in their last team because a team has just returned, or others have just left: until no more of
-    /// these are awaited, and, where another number of teams is about to count by then, until it does. So they are divided again once, not twice.
+    /// Whether everybody stays in their last team: while the robots of a team leave or return one after the other, and, where
+    /// another number of teams is about to count by then, until it does or a moment has passed. So they are divided again once, not
+    /// twice.
     fn keeps_robots(&self, now: Tick) -> bool {
         let kept = self.flight.completed().is_some_and(|last| last.staying == Staying::All);
-        self.arrivals.is_unsettled(now) || kept && self.count.due().is_some()
+        let mut settled = self.arrivals.settled_at();
+        let is_just_settled = settled.any(|at| now < at.after(2 * TEAM_COUNT_DWELL));
+        self.arrivals.is_unsettled(now) || kept && is_just_settled && self.count.due().is_some()
     }
 
     /// When a job may have to start although nothing was received.

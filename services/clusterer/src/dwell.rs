@@ -74,10 +74,12 @@ struct Pending {
 /// What has become of other robots.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Losses {
-    /// Until when a move that begins has the cause that some have left, and more may; none if none have lately.
-    pub(crate) recent_until: Option<Tick>,
+    /// Until when moves that begin are taken for a consequence; none if no robots have left.
+    pub(crate) show_until: Option<Tick>,
     /// Whether a whole team is absent.
-    pub(crate) of_a_team: bool,
+    pub(crate) is_team_absent: bool,
+    /// Whether the new division leaves everybody in their team, whatever their vectors are.
+    pub(crate) all_stay: bool,
 }
 
 /// Robots that a new division puts into another team, but not yet for long enough.
@@ -92,8 +94,8 @@ impl MoveDwell {
     ///
     /// A change counts at once where the number of teams has changed, where one of the two teams is in only one
     /// of the divisions, where the robot had no team or has none, and where it has new orders. What the loss of other
-    /// robots has caused waits while a whole team is absent: its return would undo it. No team is left
-    /// without a robot by those who stay.
+    /// robots has caused waits until no more are about to leave, and while a whole team is absent: its return would undo it.
+    /// No team is left without a robot by those who stay.
     pub(crate) fn hold(
         &mut self,
         now: Tick,
@@ -104,7 +106,11 @@ impl MoveDwell {
         losses: Losses,
     ) -> BTreeMap<RobotId, TeamId> {
         self.losses = losses;
-        let are_recent = losses.recent_until.is_some_and(|until| now < until);
+        if losses.all_stay {
+            // It says nothing of moves that others before it have begun.
+            return BTreeMap::new();
+        }
+        let losses_show = losses.show_until.is_some_and(|until| now < until);
         let pending = std::mem::take(&mut self.pending);
         let mut held = BTreeMap::new();
         let Some(before) = before.filter(|before| {
@@ -120,11 +126,12 @@ impl MoveDwell {
             let Some(from) = from.filter(|_| known.contains(to) && !renewed.contains(robot)) else {
                 continue;
             };
-            let last = pending.get(robot);
-            let is_by_loss = last.map_or(are_recent, |last| last.is_by_loss);
-            let since = last.filter(|last| last.to == *to).map_or(now, |last| last.since);
+            let last = pending.get(robot).filter(|last| last.to == *to);
+            let is_by_loss = last.map_or(losses_show, |last| last.is_by_loss);
+            let since = last.map_or(now, |last| last.since);
             let moves = Pending { to: to.clone(), since, is_by_loss };
-            if is_by_loss && (losses.of_a_team || are_recent) || now < since.after(dwell) {
+            let waits = is_by_loss && (losses.is_team_absent || losses_show);
+            if waits || now < since.after(dwell) {
                 self.pending.insert(robot.clone(), moves);
                 held.insert(robot.clone(), (*from).clone());
             }
@@ -154,10 +161,10 @@ impl MoveDwell {
 
     /// When the first robot that stays has stayed for long enough.
     pub(crate) fn due(&self, dwell: Duration) -> Option<Tick> {
-        let waits = |moves: &&Pending| !(moves.is_by_loss && self.losses.of_a_team);
+        let waits = |moves: &&Pending| !(moves.is_by_loss && self.losses.is_team_absent);
         let due = |moves: &Pending| {
             let due = moves.since.after(dwell);
-            let recent = self.losses.recent_until.filter(|_| moves.is_by_loss);
+            let recent = self.losses.show_until.filter(|_| moves.is_by_loss);
             recent.map_or(due, |until| due.max(until))
         };
         self.pending.values().filter(waits).map(due).min()
@@ -302,8 +309,9 @@ mod tests {
         let other = division(&[("t1", "a b"), ("t2", "m y z n")]);
         let both = division(&[("t1", "a b n"), ("t2", "m y z")]);
         let mut dwell = MoveDwell::default();
-        let mut held = |ms, new: &Teams, recent_until: Option<u64>, of_a_team| {
-            let losses = Losses { recent_until: recent_until.map(at), of_a_team };
+        let mut held = |ms, new: &Teams, show_until: Option<u64>, is_team_absent| {
+            let show_until = show_until.map(at);
+            let losses = Losses { show_until, is_team_absent, all_stay: false };
             let held = dwell.hold(at(ms), DWELL, new, Some(&before), &BTreeSet::new(), losses);
             let held: Vec<String> = held.keys().map(ToString::to_string).collect();
             (held.join(" "), dwell.due(DWELL))
@@ -318,6 +326,24 @@ mod tests {
         // Without a whole team that is absent it waits until no more robots are about to leave.
         assert_eq!(held(20_000, &other, Some(26_000), false), ("m".to_owned(), Some(at(26_000))));
         assert_eq!(held(26_000, &other, Some(26_000), false), (String::new(), None));
+    }
+
+    #[test]
+    fn a_division_in_which_all_stay_ends_no_move_that_has_begun() {
+        let before = division(&[("t1", "a b m"), ("t2", "y z")]);
+        let other = division(&[("t1", "a b"), ("t2", "m y z")]);
+        let mut dwell = MoveDwell::default();
+        let staying = Losses { all_stay: true, ..Losses::default() };
+        for (ms, new, losses, count) in [
+            (0, &other, Losses::default(), 1),
+            (100, &before, staying, 0),
+            (400, &before, staying, 0),
+            (499, &other, Losses::default(), 1),
+            (500, &other, Losses::default(), 0),
+        ] {
+            let held = dwell.hold(at(ms), DWELL, new, Some(&before), &BTreeSet::new(), losses);
+            assert_eq!(held.len(), count, "after {ms} ms");
+        }
     }
 
     #[test]

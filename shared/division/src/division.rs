@@ -37,7 +37,7 @@ pub struct Job {
     pub requested: u32,
     /// Whether those robots were in so many teams before.
     pub same_number: bool,
-    /// Whether robots stay in their last team.
+    /// Which robots stay in their last team.
     pub staying: Staying,
     /// Robots that have new orders, and do not stay.
     pub renewed: BTreeSet<RobotId>,
@@ -47,16 +47,17 @@ pub struct Job {
     pub memory: Arc<Memory>,
 }
 
-/// Whether robots stay in their last team, whatever their vectors are.
+/// Which robots stay in their last team, whatever their vectors are.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Staying {
     /// Their vectors decide.
     #[default]
     None,
-    /// All do, while the robots of a team leave or return one after the other: vectors rest on few relations then.
+    /// All, while the robots of a team leave or return one after the other: until the last one has, its vectors and those
+    /// of its neighbours rest on few relations.
     All,
-    /// All do where a team that is there would be divided, or put together with another one. A whole team is absent: its loss
-    /// has changed what the vectors of the others show, and its return would change it back.
+    /// All, where a team that is there would be divided or put together with another one; otherwise their vectors decide. A
+    /// whole team is absent: its loss has changed what the vectors of the others show, and its return would change it back.
     KeepingTeams,
 }
 
@@ -287,7 +288,7 @@ fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, DivisionError> {
     let without = &embedding.without_embedding;
     let found = divide_robots(x, without, &params, warm.as_deref(), &mut |_| {})?;
     if let (Staying::KeepingTeams, Some(labels)) = (job.staying, &warm)
-        && !keeps_teams(labels, &found)
+        && !keeps_teams(labels, &found, job)
         && let Some(found) = stay(x, labels, job)?
     {
         return Ok(found);
@@ -295,19 +296,21 @@ fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, DivisionError> {
     Ok(found)
 }
 
-/// Whether each team has most of its robots in a cluster of its own.
-fn keeps_teams(last: &[Option<usize>], found: &Division) -> bool {
+/// Whether each team has half of its robots in a cluster of its own, without those that have new orders.
+fn keeps_teams(last: &[Option<usize>], found: &Division, job: &Job) -> bool {
     let mut robots: BTreeMap<usize, BTreeMap<usize, usize>> = BTreeMap::new();
-    for (last, now) in last.iter().zip(&found.labels) {
-        if let (Some(last), Some(now)) = (last, now) {
+    for ((last, now), robot) in last.iter().zip(&found.labels).zip(&job.embedding.robots) {
+        if let (Some(last), Some(now)) = (last, now)
+            && !job.renewed.contains(robot)
+        {
             *robots.entry(*last).or_default().entry(*now).or_default() += 1;
         }
     }
     let mut taken = BTreeSet::new();
     robots.values().all(|clusters| {
         let all: usize = clusters.values().sum();
-        let most = clusters.iter().find(|(_, count)| **count * 2 > all);
-        most.is_some_and(|(cluster, _)| taken.insert(*cluster))
+        let mut halves = clusters.iter().filter(|(_, count)| **count * 2 >= all);
+        halves.any(|(cluster, _)| taken.insert(*cluster))
     })
 }
 

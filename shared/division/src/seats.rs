@@ -1,7 +1,7 @@
 //! Seats: while a whole team is absent its place is kept, so that the robots that are there are divided into
 //! the number of teams less those that are absent, and no robot has to fill a place that is only empty for now. That holds
-//! also where the number of teams is chosen: what the relations of the others show without those of the absent team is no
-//! evidence of how many they are.
+//! also where the number of teams is chosen, unless rules are to be obeyed: without the absent team the relations of the others
+//! are no evidence for it.
 //!
 //! A team is absent while none of its robots is in the embedding: their link is cut, or the services have just
 //! been started and hear one robot after the other. Its seat is kept for as long as the team is remembered
@@ -26,9 +26,12 @@ use muster_model::time::Tick;
 use crate::memory::{Memory, TEAM_MEMORY_TIME};
 
 /// For how long after robots have left the number of teams stays, and each of the others in its team: the robots of a team
-/// leave within a second or two, and until all have, the vectors of the others show what is left of it. The next such time begins
-/// after another one at the earliest, so that a fleet of which robots leave all the time is divided as well.
+/// leave within a second or two, and until the last one has, the vectors rest on a part of the team. At least as much time passes
+/// before the next such period, so that a fleet of which robots leave all the time is divided as well.
 const LOSS_TIME: Duration = Duration::from_secs(3);
+
+/// For how long after robots have left a move that begins is taken for a consequence: while everybody stays, and as long after.
+const LOSS_SHOWS_TIME: Duration = Duration::from_secs(6);
 
 /// For how long after robots came that no team knows the evidence decides whether they get a free seat, and after
 /// a team returned it has its seat: the robots of a team come within a second or two, one after the other.
@@ -45,7 +48,7 @@ pub struct Seats {
     returning: u32,
     /// Whether there are robots that no team knows.
     newcomers: bool,
-    /// Whether robots of the last division are not there any more.
+    /// Whether robots of teams of the last division are not there any more.
     have_left: bool,
 }
 
@@ -123,7 +126,7 @@ impl Seats {
         if self.returning > 0 {
             arrivals.returned = Some(now);
         }
-        if self.have_left && arrivals.loss_ends_at().is_none_or(|end| now >= end) {
+        if self.have_left && arrivals.losses_show_until().is_none_or(|end| now >= end) {
             arrivals.lost = Some(now);
         }
         let less = |teams: u32| teams.saturating_sub(self.absent).max(1);
@@ -190,7 +193,7 @@ pub struct Arrivals {
     newcomers: Option<Tick>,
     /// When the first robots of a team that had been absent were last there again.
     returned: Option<Tick>,
-    /// When the first robots left of those that are counted together.
+    /// When the last period of losses began.
     lost: Option<Tick>,
 }
 
@@ -201,10 +204,10 @@ impl Arrivals {
         settles(self.returned, now) || self.lost.is_some_and(|lost| now.since(lost) < LOSS_TIME)
     }
 
-    /// Until when a move of another robot that begins has the cause that robots have left; none if none have.
+    /// Until when moves that begin are taken for a consequence of losses; none if no robots have left.
     #[must_use]
-    pub fn loss_ends_at(&self) -> Option<Tick> {
-        Some(self.lost?.after(2 * LOSS_TIME))
+    pub fn losses_show_until(&self) -> Option<Tick> {
+        Some(self.lost?.after(LOSS_SHOWS_TIME))
     }
 
     /// When robots that may follow those that returned or left last are no longer waited for; empty if there are none.

@@ -46,6 +46,11 @@ fn certificates_are_kept_renewed_and_guarded() {
     let renewed = keys();
     assert_eq!((&renewed[0], &renewed[2]), (&before[0], &before[2]));
     assert_ne!(renewed[1], before[1]);
+    // The identity of another fleet is no identity of this one.
+    let other = std::fs::read_to_string(&fleet).unwrap().replace("\"alpha\"", "\"beta\"");
+    std::fs::write(&fleet, other).unwrap();
+    let printed = certs(&[]);
+    assert!(printed.contains("robot.a1: replaced, because its name has changed"), "{printed}");
 
     let (fleet, out) = (text(&fleet), text(&out));
     let fails = |arguments: &[&str], word: &str| {

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
-use muster_division::division::{changes, with_held};
+use muster_division::division::{Staying, changes, with_held};
 use muster_division::rules::{TeamRules, asks_alike};
 use muster_division::seats::{Seats, reseated};
 use muster_model::content::Checked;
@@ -86,7 +86,11 @@ impl Clusterer {
     fn losses(&self, vacant: u32, embedding: &Embedding) -> Losses {
         let before = self.division.as_deref();
         let seats = Seats::of(before, &self.memory, vacant, &BTreeSet::new(), embedding);
-        Losses { recent_until: self.arrivals.loss_ends_at(), of_a_team: seats.absent > 0 }
+        Losses {
+            show_until: self.arrivals.losses_show_until(),
+            is_team_absent: seats.absent > 0,
+            all_stay: self.flight.completed().is_some_and(|made| made.staying == Staying::All),
+        }
     }
 
     /// When robots that were kept in their team may be published elsewhere.

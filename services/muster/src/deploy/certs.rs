@@ -71,7 +71,7 @@ pub(crate) struct CertsArgs {
     /// The folder of all identities
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Only these identities, such as robot.r1, with commas
+    /// Only these identities, such as robot.r1 or, of a further fleet, robot.r1.site-2, with commas
     #[arg(long, value_name = "KIND.NAME", value_delimiter = ',')]
     only: Vec<String>,
     /// Replace existing certificates
@@ -155,6 +155,11 @@ fn state(
     let damaged = |error: String| damaged(&path, &error);
     let (_, pem) = parse_x509_pem(certificate.as_bytes()).map_err(|e| damaged(e.to_string()))?;
     let parsed = pem.parse_x509().map_err(|error| damaged(error.to_string()))?;
+    // An identity of another fleet may have had this folder, when that stood first in the file.
+    let name = parsed.subject().iter_common_name().next().and_then(|name| name.as_str().ok());
+    if name != Some(fleet.common_name(identity).as_str()) {
+        return Ok(State::Replace { reason: "replaced, because its name has changed" });
+    }
     let names = parsed.subject_alternative_name().map_err(|error| damaged(error.to_string()))?;
     let named = |address: &String| {
         let mut names = names.iter().flat_map(|names| &names.value.general_names);
