@@ -223,7 +223,7 @@ impl Clusterer {
         context.start_job(slot, job);
     }
 
-    /// Whether everybody stays in their last team: while the robots of a team leave or return one after the other, and, where
+    /// Whether all robots stay in their last team: while the robots of a team leave or return one after the other, and, where
     /// another number of teams is about to count by then, until it does or a moment has passed. So they are divided again once, not
     /// twice.
     fn keeps_robots(&self, now: Tick) -> bool {

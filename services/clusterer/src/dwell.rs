@@ -78,7 +78,7 @@ pub(crate) struct Losses {
     pub(crate) show_until: Option<Tick>,
     /// Whether a whole team is absent.
     pub(crate) is_team_absent: bool,
-    /// Whether the new division leaves everybody in their team, whatever their vectors are.
+    /// Whether the new division leaves all robots in their team, whatever their vectors are.
     pub(crate) all_stay: bool,
 }
 

@@ -30,7 +30,7 @@ use crate::memory::{Memory, TEAM_MEMORY_TIME};
 /// before the next such period, so that a fleet of which robots leave all the time is divided as well.
 const LOSS_TIME: Duration = Duration::from_secs(3);
 
-/// For how long after robots have left a move that begins is taken for a consequence: while everybody stays, and as long after.
+/// For how long after robots have left a move that begins is taken for a consequence: while all stay, and as long after.
 const LOSS_SHOWS_TIME: Duration = Duration::from_secs(6);
 
 /// For how long after robots came that no team knows the evidence decides whether they get a free seat, and after

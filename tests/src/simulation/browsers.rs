@@ -169,7 +169,7 @@ impl Browsers {
         if self.pages.values().any(is_open) {
             return Ok(());
         }
-        breach("nobody but an operator commands", format!("{operator} commands, and is not there"))
+        breach("only operators command", format!("{operator} commands, and is not there"))
     }
 
     fn check_answered(&self, now: Micros) -> Verified {
@@ -441,6 +441,6 @@ mod tests {
         let kim = OperatorId::new("kim").unwrap();
         assert_eq!(browsers(Role::Operator(kim.clone())).check_operator(&kim), Ok(()));
         let of_viewer = browsers(Role::Viewer).check_operator(&kim);
-        assert_eq!(promise(of_viewer), "nobody but an operator commands");
+        assert_eq!(promise(of_viewer), "only operators command");
     }
 }

@@ -14,7 +14,7 @@ use serde_json::Value;
 
 mod bridges;
 mod kind;
-mod messages;
+pub(super) mod messages;
 mod proposals;
 
 pub use kind::Mutant;
@@ -120,6 +120,11 @@ impl Mutator {
         }
     }
 
+    /// Whether a mutant is at work.
+    fn is(&self, mutant: Mutant) -> bool {
+        self.active && self.mutant == Some(mutant)
+    }
+
     /// A fault has happened.
     pub(crate) fn fault(&mut self, kind: &str) {
         self.active |= self.mutant.is_some_and(|mutant| mutant.after().contains(&kind));
@@ -174,10 +179,10 @@ impl Mutator {
 
     /// What the bus does with a packet.
     pub(crate) fn carried(&mut self, space: &KeySpace, packet: Packet, now: Tick) -> Packet {
-        if self.active && self.mutant == Some(Mutant::DeafRobots) {
+        if self.is(Mutant::DeafRobots) {
             return with_counted_term(packet);
         }
-        let old = self.active && self.mutant == Some(Mutant::OldTermAsNewest);
+        let old = self.is(Mutant::OldTermAsNewest);
         if !old || packet.key != space.format(&Key::Embedding) {
             return packet;
         }
@@ -195,27 +200,27 @@ impl Mutator {
 
     /// Whether disks lose what cores keep.
     pub(crate) fn forgets(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Forgetful)
+        self.is(Mutant::Forgetful)
     }
 
     /// Whether disks lose the last records at a kill.
     pub(crate) fn loses_records(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::LostRecords)
+        self.is(Mutant::LostRecords)
     }
 
     /// Whether what a full disk refuses is taken for written.
     pub(crate) fn is_careless(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Careless)
+        self.is(Mutant::Careless)
     }
 
     /// Whether nothing is written any more once something was not.
     pub(crate) fn resigns(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Resigned)
+        self.is(Mutant::Resigned)
     }
 
     /// Whether a record is left out.
     pub(crate) fn omits(&mut self, entry: &Entry) -> bool {
-        let omits = self.active && self.mutant == Some(Mutant::Forgotten);
+        let omits = self.is(Mutant::Forgotten);
         if !omits || !matches!(entry.record, Record::Event(_)) {
             return false;
         }
@@ -236,7 +241,7 @@ impl Mutator {
 
     /// What is on the disk of what a core keeps.
     pub(crate) fn kept(&self, mut content: Vec<u8>) -> Vec<u8> {
-        if self.active && self.mutant == Some(Mutant::Corrupting) {
+        if self.is(Mutant::Corrupting) {
             content.iter_mut().for_each(|byte| *byte = !*byte);
         }
         content
@@ -244,67 +249,67 @@ impl Mutator {
 
     /// Whether hosts do not announce where their instance stands.
     pub(crate) fn is_reticent(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Reticent)
+        self.is(Mutant::Reticent)
     }
 
     /// Whether gets are answered twice.
     pub(crate) fn answers_twice(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Twofold)
+        self.is(Mutant::Twofold)
     }
 
     /// Whether services answer before their state is on the disk.
     pub(crate) fn is_hasty(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Hasty)
+        self.is(Mutant::Hasty)
     }
 
     /// Whether jobs are begun that no core has ordered.
     pub(crate) fn is_eager(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Eager)
+        self.is(Mutant::Eager)
     }
 
     /// Whether the console is misled about divisions.
     pub(crate) fn misleads(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Misled)
+        self.is(Mutant::Misled)
     }
 
     /// Whether a bridge to ROS does nothing once it was killed.
     pub(crate) fn stays_away(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Absent)
+        self.is(Mutant::Absent)
     }
 
     /// How many topics a bridge to ROS remembers beyond those that it has.
     pub(crate) fn hoards_topics(&self) -> usize {
-        if self.active && self.mutant == Some(Mutant::Retentive) { 1000 } else { 0 }
+        if self.is(Mutant::Retentive) { 1000 } else { 0 }
     }
 
     /// Whether a bridge to ROS names nothing that it refuses.
     pub(crate) fn is_secretive(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Secretive)
+        self.is(Mutant::Secretive)
     }
 
     /// How many times the program for viewers sends each scene.
     pub(crate) fn repetitions(&self) -> usize {
-        if self.active && self.mutant == Some(Mutant::Wordy) { 5 } else { 1 }
+        if self.is(Mutant::Wordy) { 5 } else { 1 }
     }
 
     /// Whether the program for viewers makes scenes that no viewer watches.
     pub(crate) fn watches_all(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Wasteful)
+        self.is(Mutant::Wasteful)
     }
 
     /// Whether the program for viewers is misled about divisions.
     pub(crate) fn blinds_viewers(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Blinded)
+        self.is(Mutant::Blinded)
     }
 
     /// Whether a number of teams that no service confirmed is passed on to the program for viewers.
     pub(crate) fn is_wishful(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Wishful)
+        self.is(Mutant::Wishful)
     }
 
     /// Whether viewers receive no reason when something is refused.
     pub(crate) fn is_curt(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Curt)
+        self.is(Mutant::Curt)
     }
 
     /// Whether a service receives nothing.

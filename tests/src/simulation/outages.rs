@@ -13,7 +13,7 @@ use super::world::World;
 const POWER: &str = "a restart of everything changes no team";
 
 /// What is promised of a team that is cut off.
-const TEAM: &str = "a team that is cut off moves nobody else, and comes back as what it was";
+const TEAM: &str = "a team that is cut off moves no other robot, and comes back as what it was";
 
 /// What is to be lost, each once.
 #[derive(Debug, Default)]
@@ -73,7 +73,7 @@ impl World {
             (lasts, POWER, self.oracle.is_to_stand(&agreed))
         } else {
             let (lasts, clean) = self.outages.team.take()?;
-            let may_stand = self.oracle.loss_moves_nobody(&agreed);
+            let may_stand = self.oracle.loss_moves_no_other(&agreed);
             self.cut_off_team(agreed.division()?, lasts, clean)?;
             (lasts, TEAM, may_stand)
         };

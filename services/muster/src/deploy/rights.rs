@@ -246,6 +246,12 @@ mod tests {
         Rights::of(&fleet, identity).unwrap()
     }
 
+    /// All keys, by what may be done with them.
+    fn lists(may: &Rights) -> [&Vec<String>; 6] {
+        let Rights { put, subscribe, get, reply, declare_token, watch_token } = may;
+        [put, subscribe, get, reply, declare_token, watch_token]
+    }
+
     /// Whatever a core fetches at the start must be among what its service may get.
     fn check_start<C: Core>() {
         let start = Start {
@@ -302,14 +308,7 @@ mod tests {
         }
         for service in ServiceName::ALL {
             let may = rights(&format!("service.{service}"));
-            for list in [
-                &may.put,
-                &may.subscribe,
-                &may.get,
-                &may.reply,
-                &may.declare_token,
-                &may.watch_token,
-            ] {
+            for list in lists(&may) {
                 assert!(!list.iter().any(|key| key.contains("**")), "{list:?}");
             }
             // Instances of a service elect their leader on this key; those of historian have none.
@@ -442,15 +441,7 @@ mod tests {
         assert_eq!(members.len(), 1 + ServiceName::ALL.len());
         for identity in members {
             let may = Rights::of(&file, &identity).unwrap();
-            let lists = [
-                &may.put,
-                &may.subscribe,
-                &may.get,
-                &may.reply,
-                &may.declare_token,
-                &may.watch_token,
-            ];
-            for key in lists.into_iter().flatten() {
+            for key in lists(&may).into_iter().flatten() {
                 assert!(key.starts_with("muster/v1/site-2/"), "{identity}: {key}");
             }
         }

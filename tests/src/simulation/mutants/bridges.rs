@@ -48,7 +48,7 @@ impl Mutator {
 
     /// What viewers draw, as a mutant would have it.
     pub(crate) fn drawn(&self, mut message: Message) -> Message {
-        let is_garish = self.active && self.mutant == Some(Mutant::Garish);
+        let is_garish = self.is(Mutant::Garish);
         if let Message::Scene(scene) = &mut message
             && is_garish
         {
@@ -61,7 +61,7 @@ impl Mutator {
 
     /// What ROS is shown, as a mutant would show it: the first division again after others.
     pub(crate) fn shown_to_ros(&mut self, key: &str, payload: Vec<u8>) -> Vec<u8> {
-        if self.active && self.mutant == Some(Mutant::Prophetic) {
+        if self.is(Mutant::Prophetic) {
             return with_later_term(payload);
         }
         if self.mutant != Some(Mutant::Nostalgia) || !key.contains("/team/") {

@@ -16,6 +16,21 @@ use muster_wire::envelope::MAX_SMALL_PAYLOAD;
 
 use super::{CLOCK_TERMS, CONTINUED_EPOCHS, Mutant, Mutator, UNBELIEVED_TERMS, revision_of};
 
+/// An alert that nothing has caused.
+pub(in super::super) fn alert(id: u64, kind: AlertKind) -> Alert {
+    Alert {
+        id,
+        kind,
+        subject: AlertSubject::Fleet,
+        raised: Tick(0),
+        value: 1.0,
+        threshold: 1.0,
+        reason: String::new(),
+        robots: Vec::new(),
+        acknowledged: None,
+    }
+}
+
 impl Mutator {
     pub(super) fn mutated(&mut self, mutant: Mutant, message: Message) -> Message {
         match (mutant, message) {
@@ -142,17 +157,7 @@ impl Mutator {
                 let kinds = [AlertKind::Churn, AlertKind::Flapping];
                 let kind = kinds[usize::from(self.published.is_multiple_of(2))];
                 if !list.open.iter().any(|of| of.kind == kind) {
-                    list.open.push(Alert {
-                        id: list.next_id,
-                        kind,
-                        subject: AlertSubject::Fleet,
-                        raised: Tick(0),
-                        value: 1.0,
-                        threshold: 1.0,
-                        reason: String::new(),
-                        robots: Vec::new(),
-                        acknowledged: None,
-                    });
+                    list.open.push(alert(list.next_id, kind));
                     list.next_id += 1;
                 }
                 Message::Alerts(alerts)

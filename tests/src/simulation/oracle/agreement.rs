@@ -286,8 +286,8 @@ impl Oracle {
         agreed.division.as_ref().is_some_and(|teams| !self.limits.name_team_to_come(teams))
     }
 
-    /// Whether the loss of a team is to move nobody else: nothing is asked of teams, and no other one is absent.
-    pub(crate) fn loss_moves_nobody(&self, agreed: &Agreed) -> bool {
+    /// Whether the loss of a team is to move no other robot: nothing is asked of teams, and no other one is absent.
+    pub(crate) fn loss_moves_no_other(&self, agreed: &Agreed) -> bool {
         self.limits.are_none() && !agreed.has_free_seats()
     }
 

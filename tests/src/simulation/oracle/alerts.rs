@@ -109,32 +109,20 @@ impl AlertLog {
 
 #[cfg(test)]
 mod tests {
-    use muster_model::alert::Alert;
     use muster_model::id::ServiceName;
-    use muster_model::time::Tick;
 
+    use super::super::super::mutants::messages::alert;
     use super::super::samples::{oracle_of_a_divided_fleet, promise};
     use super::*;
 
     #[test]
     fn two_open_alerts_of_one_kind_and_subject_are_seen() {
         let header = oracle_of_a_divided_fleet().divisions.last().unwrap().header.clone();
-        let alert = |id| Alert {
-            id,
-            kind: AlertKind::Churn,
-            subject: AlertSubject::Fleet,
-            raised: Tick(0),
-            value: 1.0,
-            threshold: 1.0,
-            reason: String::new(),
-            robots: Vec::new(),
-            acknowledged: None,
-        };
         let list = |open: &[u64]| Alerts {
             header: header.clone(),
             next_id: 9,
             folded: 0,
-            open: open.iter().map(|id| alert(*id)).collect(),
+            open: open.iter().map(|id| alert(*id, AlertKind::Churn)).collect(),
         };
         let publisher = Publisher { service: ServiceName::Auditor, instance: 0, process: 0 };
         let mut log = AlertLog::default();
