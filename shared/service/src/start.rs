@@ -15,6 +15,9 @@ pub struct Stored {
     /// The fields of the settings that operators have changed.
     #[serde(with = "patch_form")]
     pub patch: Map<String, Value>,
+    /// Whether those of the fleet were not known in that term: an instance that has them takes over, also after a restart.
+    #[serde(default)]
+    pub lacks_settings: bool,
     /// What came of the last commands, the oldest first: none is carried out again.
     #[serde(default)]
     pub commands: Vec<CommandOutcome>,

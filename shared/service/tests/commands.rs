@@ -9,6 +9,7 @@ use muster_model::event::EventKind;
 use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
+use muster_model::settings::ClustererSettings;
 use muster_service::{Command, GetId, IncomingGet, Input, Stored};
 use muster_wire::Message;
 use serde_json::{Value, json};
@@ -397,6 +398,35 @@ fn a_change_that_a_leader_of_a_lower_term_has_confirmed_holds_after_a_restart() 
     standby.receive(Message::Outcome(confirmed));
     take_over(&mut standby);
     assert_eq!(standby.teams(), 5);
+}
+
+/// That it has led, and was killed, makes its settings no better.
+#[test]
+fn a_leader_that_knows_no_settings_of_the_fleet_announces_none_after_a_restart_either() {
+    let announced = |driven: &Driven<ONE_LEADS>| -> Option<u64> {
+        let of_settings = |message: &Message| {
+            let Message::Settings(announced) = message else { return None };
+            Some(announced.header.revision.term)
+        };
+        driven.published.iter().rev().find_map(of_settings)
+    };
+    let led = Driven::<ONE_LEADS>::leading();
+    let mut again = Driven::<ONE_LEADS>::restarted(led.stored.clone(), Vec::new());
+    assert_eq!((again.host.replica_state(), announced(&again)), (ReplicaState::Leading, Some(0)));
+    // What an operator changes is the fleet's.
+    set(&mut again, "kim/c1", &json!({"teams": 7})).unwrap();
+    let after = Driven::<ONE_LEADS>::restarted(again.stored.clone(), Vec::new());
+    assert_eq!(announced(&after), Some(again.stored.term + 1));
+    // So is what a leader announces, even where nothing in it is new.
+    let standby = || {
+        let answers = vec![renewal("a", led.stored.term + 1, 5)];
+        Driven::<ONE_LEADS>::restarted(led.stored.clone(), answers)
+    };
+    let Message::Settings(mut same) = settings(led.stored.term + 1, 5, 5) else { unreachable!() };
+    same.settings = serde_json::to_string(&ClustererSettings::default()).unwrap();
+    let mut follower = standby();
+    follower.receive(Message::Settings(same));
+    assert!(standby().stored.lacks_settings && !follower.stored.lacks_settings);
 }
 
 /// Two that did not hear each other have begun the same term, and an operator's commands have reached one each.

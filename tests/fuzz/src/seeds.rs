@@ -188,6 +188,7 @@ fn recordings() -> Vec<Seed> {
         Command::Keep(vec![3, 4]),
         Command::KeptIsUnusable("no".to_owned()),
         Command::Store(Stored {
+            lacks_settings: true,
             term: 3,
             patch: [("teams".to_owned(), 3.into())].into_iter().collect(),
             commands: Vec::new(),

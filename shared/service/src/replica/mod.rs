@@ -64,6 +64,7 @@ impl<S: Settings> Replica<S> {
         let revision = Revision { term: stored_term, epoch: 0 };
         let stored = start.stored.commands.iter().map(|outcome| outcome.header.revision);
         let newest_outcome = stored.max().unwrap_or_default();
+        let settings = if start.stored.lacks_settings { Revision::default() } else { revision };
         Self {
             space: KeySpace::new(start.fleet),
             service,
@@ -71,7 +72,7 @@ impl<S: Settings> Replica<S> {
             settings: ReplicaSettings::new(
                 start.settings,
                 &start.stored.patch,
-                revision,
+                settings,
                 newest_outcome,
             ),
             refusals: Refusals::default(),
@@ -149,6 +150,7 @@ impl<S: Settings> Replica<S> {
         Stored {
             term: self.stored_term,
             patch: self.settings.patch().clone(),
+            lacks_settings: !self.settings.are_known(),
             commands: Vec::new(),
         }
     }

@@ -85,7 +85,7 @@ struct Queries {
 /// What became of an announcement of the leader's settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Adoption {
-    /// It is in force now; the patch to be stored has changed.
+    /// It is in force now, and what is stored of the settings has changed.
     Changed,
     /// It is in force, and was before.
     Unchanged,
@@ -100,7 +100,8 @@ pub(crate) enum Adoption {
 }
 
 impl<S: Settings> ReplicaSettings<S> {
-    /// The settings with the stored patch, which was stored with outcomes up to `stored_with`. Fields that do not fit are
+    /// The settings with the stored patch, which are those of the fleet at `revision` (term 0 if they were never known), and were
+    /// stored with outcomes up to `stored_with`. Fields that do not fit are
     /// dropped: a service with an old state starts all the same.
     pub(crate) fn new(
         base: S,
@@ -337,7 +338,7 @@ impl<S: Settings> ReplicaSettings<S> {
         let Some(settings) = read.and_then(|read| self.current.patched(&read).ok()) else {
             return Adoption::Misfit;
         };
-        let before = self.patch.clone();
+        let (before, were_known) = (self.patch.clone(), self.are_known);
         self.accept(settings);
         self.adopted = revision;
         self.are_from_disk = false;
@@ -345,7 +346,8 @@ impl<S: Settings> ReplicaSettings<S> {
         let current = &self.current;
         let are_own_said = self.confirmations_left > 0;
         self.missed.adopted(revision, are_own_said, |patch| has(current, patch));
-        if self.patch == before { Adoption::Unchanged } else { Adoption::Changed }
+        let is_same = self.patch == before && were_known;
+        if is_same { Adoption::Unchanged } else { Adoption::Changed }
     }
 }
 
