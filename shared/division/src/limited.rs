@@ -1,6 +1,6 @@
 //! The job where operators have set rules: from the rows of an embedding to teams that obey them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use muster_method::division::Division;
 use muster_method::limited::{
@@ -378,14 +378,22 @@ impl<'a> Problem<'a> {
             let nobody = Wishes::default().check(&rules)?;
             self.divided(job, &rules, &nobody)
         };
-        let labels = match relaxed(&self.previous)? {
-            // The last division had more robots in a team than it may have.
-            Err(LimitedError::KMeans(LimitedKMeansError::Assignment(_))) => {
-                relaxed(&vec![None; self.robots.len()])??
-            }
-            labels => labels?,
+        let members: BTreeSet<&RobotId> = match job.previous.as_deref() {
+            Some(last) => last.assignments().map(|(robot, _)| robot).collect(),
+            None => BTreeSet::new(),
         };
-        Ok(Solved { columns: self.columns, labels, limited: Some(Limited::standing(conflict)) })
+        let is_member = |robot: &&RobotId| members.contains(*robot);
+        let stays = self.robots.iter().map(is_member).zip(&self.previous);
+        let of_members = stays.map(|(is_member, last)| last.filter(|_| is_member)).collect();
+        let no_robot = vec![None; self.robots.len()];
+        // A team may have more robots than it may hold: with those that come back, or by itself, if its limits have changed.
+        let mut found = relaxed(&self.previous)?;
+        for stay in [of_members, no_robot] {
+            let Err(LimitedError::KMeans(LimitedKMeansError::Assignment(_))) = found else { break };
+            found = relaxed(&stay)?;
+        }
+        let limited = Some(Limited::standing(conflict));
+        Ok(Solved { columns: self.columns, labels: found?, limited })
     }
 
     /// The team that each column becomes: of those whose rules it obeys, such that most robots stay in their team.

@@ -121,7 +121,8 @@ impl TeamRules {
         self.needs.asks_as(&other.needs) && *self == other.with_needs(self.needs.clone())
     }
 
-    /// The rules with the robots that locked teams have, by the last team of each robot.
+    /// The rules with the robots that locked teams have, by the last team of each robot. Those that come back are locked in theirs
+    /// as far as it has places left: others may have been put there meanwhile, as its limits or needs demanded it.
     pub fn resolved(
         mut self,
         previous: Option<&Teams>,
@@ -145,7 +146,20 @@ impl TeamRules {
             let team = team.filter(|team| locks.contains(*team) && !is_left_out(robot))?;
             Some((robot.clone(), team.clone()))
         };
-        self.locked = robots.zip(last).filter_map(is_locked).collect();
+        let divided: BTreeSet<&RobotId> = previous.assignments().map(|(robot, _)| robot).collect();
+        let (members, returning): (Vec<_>, Vec<_>) =
+            robots.zip(last).filter_map(is_locked).partition(|(robot, _)| divided.contains(robot));
+        let mut taken: BTreeMap<TeamId, usize> = BTreeMap::new();
+        for (_, team) in &members {
+            *taken.entry(team.clone()).or_default() += 1;
+        }
+        let has_place = |(_, team): &(RobotId, TeamId)| {
+            let taken = taken.entry(team.clone()).or_default();
+            *taken += 1;
+            *taken <= self.bounds(team).upper
+        };
+        let returning: Vec<_> = returning.into_iter().filter(has_place).collect();
+        self.locked = members.into_iter().chain(returning).collect();
         self
     }
 

@@ -162,6 +162,22 @@ fn the_robots_of_a_locked_team_stay() {
     assert_eq!(short(&bench.division()), "t1: a | t2: b c x y z");
 }
 
+/// Its limit had another robot put into the place of one in the reserve, so that not both can be locked in it.
+#[test]
+fn a_robot_that_comes_back_to_a_locked_team_without_a_place_is_not_locked_in_it() {
+    let groups = [("a b c", WEST), ("m x y z", EAST)];
+    let three = TeamSize { min: Some(3), max: Some(3) };
+    let limits = ClustererSettings { team_size: [(TeamId::numbered(1), three)].into(), ..fixed() };
+    let (mut bench, before) = divided(limits, &embedding(1, &groups));
+    assert_eq!(short(&before), "t1: a b c | t2: m x y z");
+    put(&mut bench, "alice/l", &json!({"kind": "lock", "team": "t1"})).unwrap();
+    put(&mut bench, "alice/r", &json!({"kind": "reserve", "robots": ["a"]})).unwrap();
+    assert_eq!(settle(&mut bench, &groups), "t1: b c m | t2: x y z | - a");
+    put(&mut bench, "alice/r", &Value::Null).unwrap();
+    let back = settle(&mut bench, &groups);
+    assert_eq!(back, "t1: b c m | t2: a x y z", "as after a restart");
+}
+
 #[test]
 fn a_team_whose_robots_are_all_in_reserve_has_no_seat() {
     let settings = ClustererSettings { teams: TeamCount::Fixed(3), ..fixed() };
