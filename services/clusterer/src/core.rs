@@ -180,7 +180,7 @@ impl Clusterer {
         let staying = match rules {
             Some(_) => Staying::None,
             None if self.keeps_robots(now) => Staying::All,
-            None if is_team_absent => Staying::KeepingTeams,
+            None if is_team_absent || self.still_keeps_teams(now) => Staying::KeepingTeams,
             None => Staying::None,
         };
         let task =
@@ -231,6 +231,14 @@ impl Clusterer {
         let mut settled = self.arrivals.settled_at();
         let is_just_settled = settled.any(|at| now < at.after(2 * TEAM_COUNT_DWELL));
         self.arrivals.is_unsettled(now) || kept && is_just_settled && self.count.due().is_some()
+    }
+
+    /// Whether teams are kept as while a whole team is absent: where another number of teams is about to count after that, until
+    /// it does or a moment has passed, as for [`Self::keeps_robots`].
+    fn still_keeps_teams(&self, now: Tick) -> bool {
+        let kept = self.flight.completed().is_some_and(|last| last.staying != Staying::None);
+        let has_ended = self.arrivals.has_absence_ended_within(now, 2 * TEAM_COUNT_DWELL);
+        kept && has_ended && self.count.due().is_some()
     }
 
     /// When a job may have to start although nothing was received.

@@ -166,6 +166,7 @@ fn situation<'a>(basis: &'a Basis, embedding: &'a Embedding) -> Situation<'a> {
     Situation {
         now: basis.now,
         division: Some(&basis.teams),
+        divided_into: None,
         memory: &basis.memory,
         vacant: 0,
         arrivals: Arrivals::default(),

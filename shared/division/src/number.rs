@@ -74,6 +74,8 @@ pub struct Situation<'a> {
     pub now: Tick,
     /// The last division.
     pub division: Option<&'a Teams>,
+    /// How many teams its robots were divided into, without those that were absent then; none if that is not known.
+    pub divided_into: Option<u32>,
     /// Teams that robots had before.
     pub memory: &'a Memory,
     /// Seats that are kept for absent teams of which no more is known.
@@ -90,7 +92,8 @@ impl Situation<'_> {
         let reserved = rules.map(TeamRules::reserved).unwrap_or_default();
         let last = self.division.filter(|division| !division.teams.is_empty());
         let seats = Seats::of(self.division, self.memory, self.vacant, &reserved, self.embedding);
-        let current = seats.current(last.map(|division| division.requested));
+        let divided_into = last.map(|last| self.divided_into.unwrap_or(last.requested));
+        let current = seats.current(divided_into);
         let wanted = seats.wanted(self.now, teams, rules.is_some(), current, &mut self.arrivals);
         Demand { wanted, current, absent: seats.absent }
     }

@@ -100,11 +100,11 @@ impl Seats {
     }
 
     /// How many teams the robots that are there were in, none if there is no division to go on from.
-    /// `requested` is the number that the last division was asked for.
-    pub fn current(&self, requested: Option<u32>) -> Option<u32> {
+    /// `divided_into` is how many teams they were divided into last.
+    pub fn current(&self, divided_into: Option<u32>) -> Option<u32> {
         if self.absent == 0 && self.returning == 0 {
             // Robots in the same place are fewer teams than asked for, and may come apart.
-            return requested;
+            return divided_into;
         }
         u32::try_from(self.present.len()).ok()
     }
@@ -125,6 +125,9 @@ impl Seats {
         }
         if self.returning > 0 {
             arrivals.returned = Some(now);
+        }
+        if std::mem::replace(&mut arrivals.is_team_absent, self.absent > 0) && self.absent == 0 {
+            arrivals.absence_ended = Some(now);
         }
         if self.have_left && arrivals.losses_show_until().is_none_or(|end| now >= end) {
             arrivals.lost = Some(now);
@@ -195,6 +198,10 @@ pub struct Arrivals {
     returned: Option<Tick>,
     /// When the last period of losses began.
     lost: Option<Tick>,
+    /// Whether a whole team was absent when it was last looked at.
+    is_team_absent: bool,
+    /// When that was last the case no more.
+    absence_ended: Option<Tick>,
 }
 
 impl Arrivals {
@@ -202,6 +209,12 @@ impl Arrivals {
     #[must_use]
     pub fn is_unsettled(&self, now: Tick) -> bool {
         settles(self.returned, now) || self.lost.is_some_and(|lost| now.since(lost) < LOSS_TIME)
+    }
+
+    /// Whether no team is absent any more since less than `time` ago: the last one that was has returned, or is forgotten.
+    #[must_use]
+    pub fn has_absence_ended_within(&self, now: Tick, time: Duration) -> bool {
+        self.absence_ended.is_some_and(|ended| now.since(ended) < time)
     }
 
     /// Until when moves that begin are taken for a consequence of losses; none if no robots have left.

@@ -96,6 +96,7 @@ pub(super) fn divide(
     let mut situation = Situation {
         now: MOMENT,
         division: None,
+        divided_into: None,
         memory: &memory,
         vacant: 0,
         arrivals: Arrivals::default(),

@@ -37,6 +37,7 @@ impl Clusterer {
         let mut situation = Situation {
             now,
             division: self.division.as_deref(),
+            divided_into: self.divided_into(),
             memory: &self.memory,
             vacant,
             arrivals: self.arrivals.clone(),
@@ -50,6 +51,12 @@ impl Clusterer {
         let teams = self.count.decide(now, demand.wanted, shown, last, is_asked_for);
         let is_same = demand.current == Some(teams);
         Number { teams, is_same, is_team_absent: demand.absent > 0 }
+    }
+
+    /// How many teams the robots that were there were divided into last, without those that were absent.
+    fn divided_into(&self) -> Option<u32> {
+        let made = self.flight.completed().filter(|_| self.flight.failure().is_none());
+        made.map(|made| made.teams)
     }
 
     /// Refuses settings whose limits nothing satisfies for the robots that are there.
@@ -93,6 +100,7 @@ impl Clusterer {
         let situation = Situation {
             now,
             division: self.division.as_deref(),
+            divided_into: self.divided_into(),
             memory: &self.memory,
             // What is asked of seats must not change them.
             vacant: self.vacancies.clone().count(now, division),

@@ -215,6 +215,35 @@ fn a_seat_is_given_up_when_the_team_is_forgotten() {
     assert_eq!(held(&mut bench).teams.len(), 3, "three teams are asked for");
 }
 
+/// Without the seat another number of teams is wanted, and the vectors would divide the same number otherwise.
+#[test]
+fn the_others_are_divided_again_once_when_a_seat_is_given_up() {
+    let far = |epoch: u64| {
+        let mut embedding = Embedding::clone(&camps(epoch, WITHOUT, &[0.1, 0.1, 0.2, 0.6]));
+        let dimension = embedding.dimension as usize;
+        let last = (embedding.robots.len() - 1) * dimension;
+        embedding.values[last..last + 2].fill(60.0);
+        Checked::new_unchecked(embedding)
+    };
+    let range = TeamCount::Between { from: 3, to: 5 };
+    for (wanted, count) in [(TeamCount::Auto, 4), (range, 4), (TeamCount::Fixed(3), 3)] {
+        let (mut bench, _) = divided(settings(wanted), &camps(1, ALL, &THREE));
+        bench.receive_embedding(&camps(2, WITHOUT, &TWO));
+        bench.wait(10.0);
+        bench.take();
+        let mut found = vec![short(&held(&mut bench))];
+        for epoch in 3..63 {
+            bench.receive_embedding(&far(epoch));
+            bench.wait(1.0);
+            let teams = bench.take().teams;
+            found.extend(teams.iter().map(|(teams, _)| short(teams)));
+            found.dedup();
+        }
+        assert_eq!((found.len(), &*found[0]), (2, REST), "{wanted}: {found:?}");
+        assert_eq!(held(&mut bench).teams.len(), count, "{wanted}");
+    }
+}
+
 #[test]
 fn robots_that_no_team_knows_get_a_free_seat_if_the_evidence_is_for_it() {
     let (relief, one) = ("a b c d m n o p q r s", "a b c d e m n o p");

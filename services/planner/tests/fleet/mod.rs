@@ -276,6 +276,7 @@ impl Fleet {
         let mut situation = Situation {
             now: NOW,
             division: previous.as_deref(),
+            divided_into: None,
             memory: &memory,
             vacant: 0,
             arrivals: Arrivals::default(),
