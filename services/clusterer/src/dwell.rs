@@ -78,7 +78,7 @@ pub(crate) struct Losses {
     pub(crate) show_until: Option<Tick>,
     /// Whether a whole team is absent.
     pub(crate) is_team_absent: bool,
-    /// Whether the new division leaves all robots in their team, whatever their vectors are.
+    /// Whether the new division was to leave all robots in their team, whatever their vectors are.
     pub(crate) all_stay: bool,
 }
 
@@ -106,11 +106,13 @@ impl MoveDwell {
         losses: Losses,
     ) -> BTreeMap<RobotId, TeamId> {
         self.losses = losses;
-        if losses.all_stay {
+        let losses_show = losses.show_until.is_some_and(|until| now < until);
+        let all_stay =
+            losses.all_stay && before.is_none_or(|before| !moves_any(before, new, renewed));
+        if all_stay {
             // It says nothing of moves that others before it have begun.
             return BTreeMap::new();
         }
-        let losses_show = losses.show_until.is_some_and(|until| now < until);
         let pending = std::mem::take(&mut self.pending);
         let mut held = BTreeMap::new();
         let Some(before) = before.filter(|before| {
@@ -174,6 +176,13 @@ impl MoveDwell {
     pub(crate) fn robot_count(&self) -> usize {
         self.pending.len()
     }
+}
+
+/// Whether a robot without new orders is in another team than before.
+fn moves_any(before: &Teams, new: &Teams, renewed: &BTreeSet<&RobotId>) -> bool {
+    let old: BTreeMap<&RobotId, &TeamId> = before.assignments().collect();
+    let is_elsewhere = |robot, team| old.get(robot).is_some_and(|last| *last != team);
+    new.assignments().any(|(robot, team)| is_elsewhere(robot, team) && !renewed.contains(robot))
 }
 
 #[cfg(test)]
@@ -344,6 +353,10 @@ mod tests {
             let held = dwell.hold(at(ms), DWELL, new, Some(&before), &BTreeSet::new(), losses);
             assert_eq!(held.len(), count, "after {ms} ms");
         }
+        // Robots in the same place may be fewer teams than are asked for, so that not all can stay.
+        let mut dwell = MoveDwell::default();
+        let held = dwell.hold(at(0), DWELL, &other, Some(&before), &BTreeSet::new(), staying);
+        assert_eq!(held.len(), 1);
     }
 
     #[test]
