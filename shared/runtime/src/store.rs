@@ -36,7 +36,15 @@ impl Store {
     pub fn load_noting(&self, loss: &mut Option<String>) -> Stored {
         let Some(path) = &self.path else { return Stored::default() };
         match self.read(path) {
-            Ok(stored) => stored,
+            Ok(stored) => stored.unwrap_or_else(|| {
+                // Nothing else tells a first start from a loss of the whole directory, where all hosts have lost theirs.
+                tracing::info!(
+                    "nothing is stored in {}, as at a first start; if this service has run here before, its state is lost, \
+                     and settings that were changed must be changed again",
+                    path.display()
+                );
+                Stored::default()
+            }),
             Err(error) => {
                 *loss = Some(format!(
                     "the stored state is damaged and not used: {error:#}; settings that were changed are \
@@ -53,15 +61,17 @@ impl Store {
         }
     }
 
-    fn read(&self, path: &Path) -> anyhow::Result<Stored> {
+    /// What the file holds; none if there is no file.
+    fn read(&self, path: &Path) -> anyhow::Result<Option<Stored>> {
         let name = path.display();
         let bytes = match read_at_most(path, MAX_FILE) {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                return Ok(Stored::default());
+                return Ok(None);
             }
             read => read.with_context(|| format!("cannot read {name}"))?,
         };
-        serde_json::from_slice(&bytes).with_context(|| format!("{name} is not what was written"))
+        let stored = serde_json::from_slice(&bytes);
+        stored.map(Some).with_context(|| format!("{name} is not what was written"))
     }
 
     /// Replaces the file, whole or not at all.
