@@ -227,7 +227,8 @@ fn the_others_are_divided_again_once_when_a_seat_is_given_up() {
     };
     let range = TeamCount::Between { from: 3, to: 5 };
     for (wanted, count) in [(TeamCount::Auto, 4), (range, 4), (TeamCount::Fixed(3), 3)] {
-        let (mut bench, _) = divided(settings(wanted), &camps(1, ALL, &THREE));
+        let settings = ClustererSettings { dwell_s: 0.1, ..settings(wanted) };
+        let (mut bench, _) = divided(settings, &camps(1, ALL, &THREE));
         bench.receive_embedding(&camps(2, WITHOUT, &TWO));
         bench.wait(10.0);
         bench.take();
