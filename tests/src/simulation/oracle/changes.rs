@@ -14,7 +14,8 @@ const CHANGES: &str = "every event about teams is the difference of two division
 #[derive(Debug, Default)]
 pub(super) struct Changes {
     publisher: Option<Publisher>,
-    /// None of its first one: it goes on from a division that it was told, or has kept.
+    /// None of its first one in a term: it goes on from a division that it has received, or kept, and one that leads again
+    /// after another leader may not go on from its own last one.
     before: Option<Checked<Teams>>,
     now: Option<Checked<Teams>>,
 }
@@ -23,7 +24,9 @@ impl Changes {
     /// A process publishes a division.
     pub(super) fn divided(&mut self, publisher: Publisher, teams: &Checked<Teams>) {
         let is_same = self.publisher == Some(publisher);
-        self.before = self.now.take().filter(|_| is_same);
+        let term = teams.header.revision.term;
+        let last = self.now.take().filter(|last| is_same && last.header.revision.term == term);
+        self.before = last;
         (self.publisher, self.now) = (Some(publisher), Some(teams.clone()));
     }
 
