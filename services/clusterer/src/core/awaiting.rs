@@ -12,8 +12,9 @@ use super::Clusterer;
 /// How long the robots of the division of an earlier leader are awaited before the first division, from the
 /// first robot on. Robots connect again within a second or two of the router's return, and repeat their links and
 /// ranks as often: before that, what relates them is not what it was when they were divided. Services that start
-/// have looked for a leader for two seconds by then and received robots; both together stay below five seconds.
-const REUNION_TIME: Duration = Duration::from_millis(2500);
+/// have looked for a leader for two seconds by then and received robots; with the start of their processes and the first frame
+/// all stays below five seconds.
+const REUNION_TIME: Duration = Duration::from_secs(2);
 
 /// How long they are awaited where all of them are there and related to others: each stream of each robot has been repeated
 /// by then.
@@ -64,14 +65,15 @@ impl Clusterer {
         frames as f64 > FRAMES_OF_REUNION || embedded.is_some() && embedded == divided
     }
 
-    /// Whether every robot of the last division has a vector that more than one relation stands behind.
+    /// Whether every robot of the last division has a vector that more than one relation stands behind, or had none such then.
     fn is_whole(&self) -> bool {
         let (Some(newest), Some(division)) = (&self.newest, &self.division) else { return false };
         let embedding = &newest.embedding;
         division.assignments().all(|(robot, _)| {
             embedding.robots.binary_search(robot).is_ok_and(|row| {
-                !embedding.without_embedding[row]
-                    && !embedding.provisional.get(row).copied().unwrap_or_default()
+                let is_provisional = embedding.provisional.get(row).copied().unwrap_or_default();
+                let was_provisional = || division.provisional.binary_search(robot).is_ok();
+                !embedding.without_embedding[row] && (!is_provisional || was_provisional())
             })
         })
     }
