@@ -129,8 +129,8 @@ impl Seats {
         if std::mem::replace(&mut arrivals.is_team_absent, self.absent > 0) && self.absent == 0 {
             arrivals.absence_ended = Some(now);
         }
-        if self.have_left && arrivals.losses_show_until().is_none_or(|end| now >= end) {
-            arrivals.lost = Some(now);
+        if self.have_left {
+            arrivals.note_loss(now);
         }
         let less = |teams: u32| teams.saturating_sub(self.absent).max(1);
         let range = wanted.range();
@@ -205,6 +205,13 @@ pub struct Arrivals {
 }
 
 impl Arrivals {
+    /// Robots have left, whether they are back or not: others may follow. At least as much time passes before the next such period.
+    pub fn note_loss(&mut self, now: Tick) {
+        if self.losses_show_until().is_none_or(|end| now >= end) {
+            self.lost = Some(now);
+        }
+    }
+
     /// Whether a team has returned of which more robots may follow, or robots have left that others may follow.
     #[must_use]
     pub fn is_unsettled(&self, now: Tick) -> bool {

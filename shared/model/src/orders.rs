@@ -30,8 +30,9 @@ pub struct NewOrders {
 }
 
 impl NewOrders {
-    /// One roster follows another.
-    pub fn follow(&mut self, now: Tick, before: Option<&Roster>, after: &Roster) {
+    /// One roster follows another. Returns whether a robot has left and come back between the two.
+    pub fn follow(&mut self, now: Tick, before: Option<&Roster>, after: &Roster) -> bool {
+        let mut have_rejoined = false;
         let place = |robot: &RobotId| after.robots.binary_search_by(|entry| entry.robot.cmp(robot));
         self.changed.retain(|robot, at| !is_past(now, *at) && place(robot).is_ok());
         self.joined.retain(|robot, at| now < at.after(JOINING_TIME) && place(robot).is_ok());
@@ -45,6 +46,7 @@ impl NewOrders {
                 }
                 // It has left and come back between the two: nothing that it reported before is known.
                 Some(entry) if entry.position.is_some() && position.is_none() => {
+                    have_rejoined = true;
                     self.joined.insert(robot.clone(), now);
                 }
                 Some(entry) if entry.superior == *superior => {}
@@ -54,6 +56,7 @@ impl NewOrders {
                 }
             }
         }
+        have_rejoined
     }
 
     /// The robots whose own superior has changed lately, ordered by name.
@@ -173,8 +176,8 @@ mod tests {
         // Nor is the rank of one that has left and come back between two rosters.
         let mut placed = ranked.clone();
         placed.robots[1].position = Some([0.0; 3]);
-        orders.follow(at(20_000), Some(&top), &placed);
-        orders.follow(at(20_100), Some(&placed), &roster("a b c"));
+        assert!(!orders.follow(at(20_000), Some(&top), &placed));
+        assert!(orders.follow(at(20_100), Some(&placed), &roster("a b c")));
         orders.follow(at(21_000), Some(&roster("a b c")), &placed);
         assert_eq!(orders.changed(at(21_000)).collect::<Vec<_>>(), [&robot("c")]);
         // And so is another rank at any time.

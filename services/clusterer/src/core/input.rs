@@ -86,7 +86,9 @@ impl Clusterer {
             }
             return;
         }
-        self.orders.follow(context.now(), self.roster.as_deref(), &roster);
+        if self.orders.follow(context.now(), self.roster.as_deref(), &roster) {
+            self.arrivals.note_loss(context.now());
+        }
         self.roster = Some(roster);
         // Robots became stale, left, or have other superiors: the same labels are republished.
         if let (Some(published), Some(division)) = (&self.published, &self.division) {

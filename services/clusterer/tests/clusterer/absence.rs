@@ -215,6 +215,45 @@ fn a_seat_is_given_up_when_the_team_is_forgotten() {
     assert_eq!(held(&mut bench).teams.len(), 3, "three teams are asked for");
 }
 
+/// They were in every embedding, and only the roster tells that nothing is known of them. What relates them to others comes again
+/// within seconds.
+#[test]
+fn robots_that_left_and_are_back_by_the_next_roster_stay_in_their_team() {
+    let placed = |epoch: u64, without: &str| {
+        let mut roster = roster(epoch, ALL);
+        for entry in &mut roster.robots {
+            let is_known = !without.contains(entry.robot.as_str());
+            entry.position = is_known.then_some([0.0; 3]);
+        }
+        roster
+    };
+    let moved = |epoch: u64| {
+        let mut embedding = Embedding::clone(&camps(epoch, ALL, &THREE));
+        let dimension = embedding.dimension as usize;
+        // d is among the robots of the second camp.
+        embedding.values[3 * dimension] = 10.5;
+        Checked::new_unchecked(embedding)
+    };
+    for (without, stays) in [("w", true), ("", false)] {
+        let (mut bench, first) = divided(settings(TeamCount::Fixed(3)), &camps(1, ALL, &THREE));
+        assert_eq!(short(&first), WHOLE);
+        bench.receive_roster(placed(2, ""));
+        bench.wait(0.1);
+        bench.receive_roster(placed(3, without));
+        for epoch in 3..30 {
+            bench.receive_embedding(&moved(epoch));
+            bench.wait(0.1);
+        }
+        assert_eq!(short(&held(&mut bench)) == WHOLE, stays);
+        for epoch in 30..100 {
+            bench.receive_embedding(&moved(epoch));
+            bench.wait(0.1);
+        }
+        let lasting = "t1: a b c | t2: d m n o p | t3: w x y z";
+        assert_eq!(short(&held(&mut bench)), lasting, "it has lasted");
+    }
+}
+
 /// Without the seat another number of teams is wanted, and the vectors would divide the same number otherwise.
 #[test]
 fn the_others_are_divided_again_once_when_a_seat_is_given_up() {
