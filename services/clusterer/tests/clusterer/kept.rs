@@ -78,12 +78,31 @@ fn who_is_not_back_in_time_keeps_its_seat() {
     assert!(next.take().teams.is_empty(), "no robot was there yet");
     let there = later(3, &[("a b c", WEST), ("x", NORTH)]);
     next.receive_embedding(&there);
-    next.wait(2.4);
+    next.wait(1.9);
     assert!(next.take().teams.is_empty());
     next.wait(0.2);
     assert_eq!(short(&next.take().division()), "t1: a b c | t3: x");
     next.receive_embedding(&later(4, &ALL));
     assert!(next.take().division().same_division(&last));
+}
+
+/// Nothing more will come of it, however long it is waited for.
+#[test]
+fn a_robot_that_few_relations_stood_behind_before_is_not_awaited_for_more() {
+    let marked = |embedding: Checked<Embedding>, name: &str| {
+        let mut embedding = Embedding::clone(&embedding);
+        embedding.provisional =
+            embedding.robots.iter().map(|robot| robot.as_str() == name).collect();
+        Checked::new_unchecked(embedding)
+    };
+    let (bench, last) = divided(settings(), &marked(embedding(1, &ALL), "a"));
+    assert_eq!(last.provisional, [robot("a")]);
+    for (name, is_awaited) in [("a", false), ("b", true)] {
+        let mut next = restarted(settings(), &bench.kept.clone().unwrap());
+        next.receive_embedding(&marked(later(2, &ALL), name));
+        next.wait(1.6);
+        assert_eq!(next.take().teams.is_empty(), is_awaited, "{name}");
+    }
 }
 
 #[test]
@@ -96,7 +115,7 @@ fn who_comes_and_leaves_again_is_awaited_from_the_next_one_on() {
     // It sleeps, and is not woken again and again for what has passed.
     next.wait(15.0);
     next.receive_embedding(&later(4, &[("x y z", NORTH)]));
-    next.wait(2.4);
+    next.wait(1.9);
     assert!(next.take().teams.is_empty());
     next.wait(0.2);
     assert_eq!(short(&next.take().division()), "t3: x y z");
