@@ -269,6 +269,20 @@ fn pure_crates_turn_on_the_lints_against_clocks_threads_and_unordered_iteration(
 }
 
 #[test]
+fn no_folder_stands_at_the_top_but_those_of_the_project() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let ignored = std::fs::read_to_string(root.join(".gitignore")).unwrap();
+    let is_ignored = |name: &String| ignored.lines().any(|line| line.trim_matches('/') == name);
+    let entries = std::fs::read_dir(root).unwrap().map(Result::unwrap);
+    let folders = entries.filter(|entry| entry.file_type().unwrap().is_dir());
+    let names = folders.map(|folder| folder.file_name().into_string().unwrap());
+    let folders: BTreeSet<String> =
+        names.filter(|name| !name.starts_with('.') && !is_ignored(name)).collect();
+    let folders: Vec<&str> = folders.iter().map(String::as_str).collect();
+    assert_eq!(folders, ["deploy", "services", "shared", "tests"]);
+}
+
+#[test]
 fn the_robot_of_the_readme_is_the_one_that_is_compiled() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let read = |path: &str| std::fs::read_to_string(root.join(path)).unwrap();
