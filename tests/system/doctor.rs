@@ -167,6 +167,7 @@ async fn faults_of_services_and_settings_are_found_and_gone_again() {
         "robots",
         "other_fleets",
         "findings",
+        "notes",
     ];
     assert_eq!(keys, BTreeSet::from(promised));
     let services: Vec<_> = report["services"]

@@ -42,7 +42,9 @@ fn doctor_finds(cluster: &Cluster, id: &str, service: &str) {
         let arguments = [&arguments[..], &[&cluster.endpoint, "--listen-for", "1"]].concat();
         let (_, out, err) = run("muster", &arguments, SOON).unwrap();
         let report: Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{out}{err}"));
-        let mut findings = report["findings"].as_array().unwrap().iter();
+        let [findings, notes] =
+            ["findings", "notes"].map(|name| report[name].as_array().unwrap().iter());
+        let mut findings = findings.chain(notes);
         let is_it = |finding: &&Value| {
             finding["id"] == id && finding["seen"].as_str().unwrap().contains(service)
         };
@@ -76,6 +78,8 @@ async fn services_that_have_lost_all_state_are_believed_at_once() {
         let after = all.iter().filter(|value| is_new(value)).map(place).min().unwrap();
         assert!(after > before, "{after:?} after {before:?}");
     }
+    // Either another service remembers an output, or it is noted as a first start.
+    doctor_finds(&cluster, "state_empty", "");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -100,13 +100,13 @@ impl Situation<'_> {
 
     /// What evidence and rules say of the number of teams; notes who came.
     pub fn evidence(&mut self, teams: TeamCount, rules: Option<&TeamRules>) -> Evidence {
-        let demand = self.demand(teams, rules);
+        let mut demand = self.demand(teams, rules);
         let quality = &self.embedding.quality;
         let (mut shown, mut last) = (quality.teams_shown, demand.current);
         if let Some(rules) = rules {
             let best = best_number(demand.wanted, shown, demand.current);
             let rules = rules.clone().resolved(self.division, self.memory, self.embedding);
-            let possible = self.placeable(&rules).possible(demand, best);
+            let possible = self.placeable(&rules).possible(&mut demand, teams, best);
             match possible_number(&possible, best, &quality.team_scores) {
                 Some(best) => {
                     shown = Some(best);
@@ -125,10 +125,10 @@ impl Situation<'_> {
     pub fn conflict(&self, teams: TeamCount, rules: &TeamRules) -> Option<String> {
         let rules = rules.clone().resolved(self.division, self.memory, self.embedding);
         // What is asked of arrivals must not change them.
-        let demand = self.clone().demand(teams, Some(&rules));
+        let mut demand = self.clone().demand(teams, Some(&rules));
         let best = best_number(demand.wanted, self.embedding.quality.teams_shown, demand.current);
         let robots = self.placeable(&rules);
-        if !robots.possible(demand, best).is_empty() {
+        if !robots.possible(&mut demand, teams, best).is_empty() {
             return None;
         }
         let columns: Vec<TeamId> =
@@ -203,15 +203,24 @@ impl Placeable<'_> {
     }
 
     /// The numbers of teams into which something divides these robots as the rules want it: the best one and the last
-    /// one, and all if the best is not among them.
-    fn possible(&self, demand: Demand, best: u32) -> Vec<u32> {
+    /// one, and all if the best is not among them. Where there is none while a team is absent, that team keeps its seat no longer:
+    /// all numbers that `asked` allows are wanted then.
+    fn possible(&self, demand: &mut Demand, asked: TeamCount, best: u32) -> Vec<u32> {
         let range = demand.wanted.range();
         let is_possible = |teams: &u32| self.is_possible(*teams);
         if is_possible(&best) {
             let last = demand.current.filter(|last| *last != best && range.contains(last));
             return [best].into_iter().chain(last.filter(is_possible)).collect();
         }
-        range.filter(is_possible).collect()
+        let possible: Vec<u32> = range.filter(is_possible).collect();
+        if !possible.is_empty() || demand.absent == 0 {
+            return possible;
+        }
+        let all: Vec<u32> = asked.range().filter(is_possible).collect();
+        if !all.is_empty() {
+            demand.wanted = asked;
+        }
+        all
     }
 }
 

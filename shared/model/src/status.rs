@@ -47,6 +47,8 @@ pub struct ServiceStatus {
 pub enum StatusGauge {
     /// 1 if the instance began without the state that it had stored.
     StateLost,
+    /// 1 if nothing was stored when the instance started: a first start, or the loss of a whole directory.
+    StateEmpty,
     /// 1 while state cannot be stored.
     StateUnwritable,
     /// 1 while a historian keeps less than it should.
@@ -59,8 +61,9 @@ pub enum StatusGauge {
 
 impl StatusGauge {
     /// All of them.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::StateLost,
+        Self::StateEmpty,
         Self::StateUnwritable,
         Self::HistoryDegraded,
         Self::RecordedThrough,
@@ -72,6 +75,7 @@ impl StatusGauge {
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::StateLost => "state_lost",
+            Self::StateEmpty => "state_empty",
             Self::StateUnwritable => "state_unwritable",
             Self::HistoryDegraded => "history_degraded",
             Self::RecordedThrough => "recorded_through",

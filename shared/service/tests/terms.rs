@@ -167,10 +167,11 @@ fn a_loss_of_state_is_reported_where_it_shows() {
     // Nothing was stored, and nothing is known of an earlier output: a first start.
     let first = leading(at(RIGHT_S), 0, vec![]);
     assert_eq!((losses(&first).len(), first.counter("state_lost")), (0, 0));
+    assert_eq!(first.counter("state_empty"), 1);
     let lost = leading(at(RIGHT_S), 0, vec![seen(RIGHT_S - 9)]);
     assert_eq!((losses(&lost).len(), lost.counter("state_lost")), (1, 1));
     let kept = leading(at(RIGHT_S), RIGHT_S - 9, vec![seen(RIGHT_S - 9)]);
-    assert_eq!(losses(&kept).len(), 0);
+    assert_eq!((losses(&kept).len(), kept.counter("state_empty")), (0, 0));
     // The shell could not read it; the instance does not lead yet.
     let mut damaged = Driven::<ONE_LEADS>::new();
     damaged.input(Input::Started { linked: true });

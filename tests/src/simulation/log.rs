@@ -8,6 +8,9 @@ use super::plan::Span;
 /// Most lines that are kept: some minutes of a small fleet.
 const MAX_LINES: usize = 400_000;
 
+/// Most characters of a message that are shown: a division of a small fleet is shorter.
+const MAX_TEXT: usize = 1000;
+
 /// The log of a run. Nothing is written unless it is to be read.
 #[derive(Debug, Default)]
 pub(crate) struct Log {
@@ -39,6 +42,13 @@ impl Log {
     pub(crate) fn into_lines(self) -> Vec<String> {
         self.lines.unwrap_or_default()
     }
+}
+
+/// What bytes say, if they are JSON; no more than fits into a line.
+pub(crate) fn readable(bytes: &[u8]) -> &str {
+    let text = std::str::from_utf8(bytes).unwrap_or_default();
+    let end = text.char_indices().nth(MAX_TEXT).map_or(text.len(), |(end, _)| end);
+    if text.starts_with('{') { &text[..end] } else { "" }
 }
 
 /// A short name for bytes, so that logs of two runs differ where the bytes do.

@@ -13,7 +13,7 @@ use muster_wire::{Key, Message, Packet};
 
 use super::clock::{MS, Micros, SECOND};
 use super::link::{State, Way};
-use super::log::digest;
+use super::log::{digest, readable};
 use super::node::Process;
 use super::oracle::breach;
 use super::plan::{OutputKind, Place, Span};
@@ -61,7 +61,9 @@ impl World {
                 if self.log.is_kept() {
                     let bytes = packet.payload.as_ref().map_or(&[][..], Vec::as_slice);
                     let (key, size, name) = (&packet.key, bytes.len(), digest(bytes));
-                    let line = format_args!("{key} put by link {link}: {size} bytes {name:08x}");
+                    let text = readable(bytes);
+                    let line =
+                        format_args!("{key} put by link {link}: {size} bytes {name:08x} {text}");
                     self.log.line(self.now, line);
                 }
                 let key = self.space.parse(&packet.key).ok();

@@ -68,6 +68,24 @@ fn a_pin_is_granted_at_once_and_gone_when_it_is_withdrawn() {
     assert!(error.contains("alice/p1 is not there"), "{error}");
 }
 
+/// Robots that are there do not go without a team for one that is not.
+#[test]
+fn a_wish_that_the_others_cannot_obey_without_it_takes_the_seat_of_an_absent_team() {
+    let ban = json!({"kind": "ban", "robots": ["c"], "team": "t1"});
+    let (mut bench, _) = divided(fixed(), &six(1));
+    bench.wait(0.1);
+    bench.receive_embedding(&embedding(2, &[("a b c", WEST)]));
+    bench.wait(1.0);
+    assert_eq!(short(&bench.division()), "t1: a b c", "the seat of the other team is kept");
+    put(&mut bench, "alice/b1", &ban).unwrap();
+    let division = bench.division();
+    assert_eq!(short(&division), "t1: a b | t3: c");
+    assert_eq!(division.limited.as_ref().unwrap().conflict, None);
+    assert_eq!(states(&mut bench), ["alice/b1 Active"]);
+    // It stays so, as it is after a restart, of which no seat is known.
+    assert_eq!(settle(&mut bench, &[("a b c", WEST)]), "t1: a b | t3: c");
+}
+
 /// The last division after the same robots were divided again a few times, as when one of them moves a little.
 fn settle(bench: &mut Bench, groups: &[(&str, [f64; 2])]) -> String {
     let mut last = None;

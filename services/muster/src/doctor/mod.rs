@@ -32,7 +32,8 @@ const LISTEN_S: std::ops::RangeInclusive<f64> = 1.0..=3600.0;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "It reads and listens, and changes nothing. The exit code is 0 if everything is well, \
-1 if there are findings, and 3 if no router answers.\n\nExamples:\n  muster doctor\n  \
+1 if there are findings, and 3 if no router answers; \
+notes count for nothing.\n\nExamples:\n  muster doctor\n  \
 muster doctor --fleet alpha --connect tcp/192.168.1.10:7447\n  \
 muster doctor --json | jq '.findings[] | .id, .remedy'"
 )]
@@ -88,7 +89,7 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
             if found.iter().all(|finding| finding.id != "no_router") {
                 found.push(findings::session(&error));
             }
-            print(args, config, &endpoints, None, &found)?;
+            print(args, config, &endpoints, None, &found, &[])?;
             return Err(ExitError::unreachable("no router answers").into());
         }
     };
@@ -103,7 +104,9 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
     found.extend(unannounced(&endpoints, &look).await);
     found.extend(findings::of_fleet(&look));
     found.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
-    print(args, config, &endpoints, Some(&look), &found)?;
+    let notes: Vec<_> =
+        found.extract_if(.., |finding| finding.severity == Severity::Note).collect();
+    print(args, config, &endpoints, Some(&look), &found, &notes)?;
     client.close().await;
     match found.len() {
         0 => Ok(()),
@@ -146,6 +149,7 @@ fn print(
     endpoints: &[Endpoint],
     look: Option<&Look>,
     found: &[Finding],
+    notes: &[Finding],
 ) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     if args.json {
@@ -171,6 +175,7 @@ fn print(
             "robots": look.map(Look::robots),
             "other_fleets": look.map_or(&[][..], |look| look.others.as_slice()),
             "findings": found,
+            "notes": notes,
         });
         writeln!(out, "{report}")?;
         return Ok(out.flush()?);
@@ -181,19 +186,20 @@ fn print(
             writeln!(out, "{line}")?;
         }
     }
-    for finding in found {
+    if found.is_empty() {
+        writeln!(out, "everything is well")?;
+    }
+    for finding in found.iter().chain(notes) {
         let severity = match finding.severity {
             Severity::Error => "ERROR",
             Severity::Warning => "warning",
+            Severity::Note => "note",
         };
         writeln!(
             out,
             "\n{severity} ({})\n  seen: {}\n  do:   {}",
             finding.id, finding.seen, finding.remedy
         )?;
-    }
-    if found.is_empty() {
-        writeln!(out, "everything is well")?;
     }
     Ok(out.flush()?)
 }

@@ -65,6 +65,10 @@ impl<S: Settings> Replica<S> {
         let stored = start.stored.commands.iter().map(|outcome| outcome.header.revision);
         let newest_outcome = stored.max().unwrap_or_default();
         let settings = if start.stored.lacks_settings { Revision::default() } else { revision };
+        // What works for itself may store nothing for a long time.
+        let is_empty = kept == 0 && replication == Replication::OneLeads;
+        let counters =
+            is_empty.then_some((StatusGauge::StateEmpty.as_str(), 1)).into_iter().collect();
         Self {
             space: KeySpace::new(start.fleet),
             service,
@@ -83,7 +87,7 @@ impl<S: Settings> Replica<S> {
             state_loss: damage,
             revision,
             event_epoch: 0,
-            counters: BTreeMap::new(),
+            counters,
         }
     }
 

@@ -21,6 +21,8 @@ const MAX_SUBJECTS: usize = 100;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Severity {
+    /// Nothing is wrong, unless an operator knows better.
+    Note,
     /// It works, but not as it should.
     Warning,
     /// Something does not work.

@@ -1,6 +1,7 @@
 //! What is wrong with the services: who is missing, does not answer, or does not compute.
 
 use std::collections::BTreeSet;
+use std::time::Duration;
 
 use muster_client::ServiceInstance;
 use muster_model::event::EventKind;
@@ -15,6 +16,10 @@ use crate::show::page::names;
 
 /// Clocks that differ by less do no harm: the age of data is shown in tenths of a second.
 const CLOCK_OFF_S: f64 = 0.5;
+
+/// How long it is worth a note that a service began with nothing stored. An operator who looks for settings that are
+/// gone does so within a day.
+const FIRST_START_NOTED_FOR: Duration = Duration::from_secs(24 * 3600);
 
 pub(super) fn services(look: &Look) -> Vec<Finding> {
     let mut found = Vec::new();
@@ -178,6 +183,22 @@ pub(super) fn state(look: &Look) -> Vec<Finding> {
         look.after.iter().filter(is_set).map(of).collect()
     };
     let mut found = Vec::new();
+    let first: Vec<_> = look.after.iter().filter(|status| is_first_start(status)).collect();
+    if !first.is_empty() {
+        let all = first.iter().map(|status| format!("{} {}", status.service, status.instance));
+        let all: Vec<_> = all.collect();
+        found.push(
+            finding(
+                "state_empty",
+                Severity::Note,
+                format!("began with nothing stored, as at a first start: {}", all.join(", ")),
+                "nothing, if this was the first start on its host. If it has run there before, its state is \
+                 lost, and settings that were changed are those of file and flags again: compare `muster set \
+                 SERVICE`, and keep the state directory on a disk that lasts (a volume, for a container)",
+            )
+            .about(&all),
+        );
+    }
     let lost = with(StatusGauge::StateLost);
     if !lost.is_empty() {
         found.push(
@@ -216,6 +237,13 @@ pub(super) fn state(look: &Look) -> Vec<Finding> {
         );
     }
     found
+}
+
+/// Whether a service began with nothing stored, not long ago, and no other one knows that something was.
+fn is_first_start(status: &ServiceStatus) -> bool {
+    status.gauge(StatusGauge::StateEmpty) > 0
+        && status.gauge(StatusGauge::StateLost) == 0
+        && status.now.since(status.started) < FIRST_START_NOTED_FOR
 }
 
 pub(super) fn jobs(look: &Look) -> Vec<Finding> {
