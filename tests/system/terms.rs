@@ -3,7 +3,6 @@
 use std::time::{Duration, Instant};
 
 use muster_tests::cluster::{Cluster, SERVICES};
-use muster_tests::process::run;
 use muster_wire::Outbound;
 use serde_json::Value;
 
@@ -34,24 +33,22 @@ fn start_all(cluster: &mut Cluster) {
     }
 }
 
-/// Whether `muster doctor` finds something about a service, within a bounded time.
-fn doctor_finds(cluster: &Cluster, id: &str, service: &str) {
+/// Waits until `muster doctor` finds or notes one of these about a service.
+fn doctor_finds(cluster: &Cluster, ids: &[&str], service: &str) {
     let start = Instant::now();
     loop {
-        let arguments = ["doctor", "--json", "--fleet", &cluster.fleet, "--connect"];
-        let arguments = [&arguments[..], &[&cluster.endpoint, "--listen-for", "1"]].concat();
-        let (_, out, err) = run("muster", &arguments, SOON).unwrap();
+        let (_, out, err) = cluster.muster(&["doctor", "--json", "--listen-for", "1"]).unwrap();
         let report: Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{out}{err}"));
         let [findings, notes] =
             ["findings", "notes"].map(|name| report[name].as_array().unwrap().iter());
-        let mut findings = findings.chain(notes);
-        let is_it = |finding: &&Value| {
-            finding["id"] == id && finding["seen"].as_str().unwrap().contains(service)
+        let is_it = |finding: &Value| {
+            ids.contains(&finding["id"].as_str().unwrap())
+                && finding["seen"].as_str().unwrap().contains(service)
         };
-        if findings.any(|finding| is_it(&finding)) {
+        if findings.chain(notes).any(is_it) {
             return;
         }
-        assert!(start.elapsed() < SOON, "{id} is not found: {report:#}");
+        assert!(start.elapsed() < SOON, "{ids:?} are not found: {report:#}");
     }
 }
 
@@ -78,8 +75,10 @@ async fn services_that_have_lost_all_state_are_believed_at_once() {
         let after = all.iter().filter(|value| is_new(value)).map(place).min().unwrap();
         assert!(after > before, "{after:?} after {before:?}");
     }
-    // Either another service remembers an output, or it is noted as a first start.
-    doctor_finds(&cluster, "state_empty", "");
+    // It is found where another service or a reader remembers an output, and looks like a first start elsewhere.
+    for service in SERVICES {
+        doctor_finds(&cluster, &["state_lost", "state_empty"], service);
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -117,7 +116,7 @@ async fn a_forged_term_or_a_damaged_file_stops_nobody() {
     let since = now();
     cluster.start_service("clusterer").unwrap();
     works(since).await;
-    doctor_finds(&cluster, "state_lost", "clusterer");
+    doctor_finds(&cluster, &["state_lost"], "clusterer");
 
     // A folder that cannot be written.
     cluster.service("clusterer").unwrap().kill().unwrap();
@@ -126,5 +125,5 @@ async fn a_forged_term_or_a_damaged_file_stops_nobody() {
     let since = now();
     cluster.start_service("clusterer").unwrap();
     works(since).await;
-    doctor_finds(&cluster, "state_unwritable", "clusterer");
+    doctor_finds(&cluster, &["state_unwritable"], "clusterer");
 }
