@@ -479,11 +479,11 @@ impl Embedder {
         }
     }
 
-    /// The newest frame, if it is to have an embedding. That of an empty fleet is published only where
-    /// there was one before: robots that have left must not stay in a division.
+    /// The newest frame, if it is to have an embedding. That of an empty fleet is published only where there was one
+    /// before: robots that have left must not stay in a division. The one before may be without robots as well: an
+    /// instance that was cut off answers with it, and no reader has received it.
     fn wanted(&self) -> Option<&Arc<Frame>> {
-        let left = |embedding: &Checked<Embedding>| !embedding.robots.is_empty();
-        let was_published = self.published.is_some() || self.embedding.as_ref().is_some_and(left);
+        let was_published = self.published.is_some() || self.embedding.is_some();
         self.follow.frame().filter(|frame| was_published || !frame.robots.is_empty())
     }
 

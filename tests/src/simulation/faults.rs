@@ -273,7 +273,8 @@ impl World {
     }
 
     /// Whether a service that has lost its disk hears from others what it had published: auditors and its own standbys
-    /// answer that, unless they are killed or their links fail.
+    /// answer that, unless they are killed or their links fail. After a blackout the next leader may begin before an instance
+    /// is back whose disk has it.
     fn is_remembered_by_others(&self) -> bool {
         let answers = |place| {
             matches!(place, Place::Service(ServiceName::Auditor | ServiceName::Clusterer, _))
@@ -283,7 +284,7 @@ impl World {
             | Fault::Cut { at, .. }
             | Fault::Kill { at, .. }
             | Fault::Hang { at, .. } => !answers(at),
-            Fault::Router { .. } | Fault::Busy { .. } => false,
+            Fault::Router { .. } | Fault::Busy { .. } | Fault::Blackout { .. } => false,
             _ => true,
         })
     }

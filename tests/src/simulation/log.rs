@@ -9,7 +9,7 @@ use super::plan::Span;
 const MAX_LINES: usize = 400_000;
 
 /// Most characters of a message that are shown: a division of a small fleet is shorter.
-const MAX_TEXT: usize = 1000;
+const MAX_TEXT: usize = 4000;
 
 /// The log of a run. Nothing is written unless it is to be read.
 #[derive(Debug, Default)]

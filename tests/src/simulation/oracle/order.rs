@@ -195,6 +195,8 @@ impl Order {
         let Some(renewed) = self.renewals.get(&former) else { return Ok(()) };
         let disturbed_until = self.disturbed_until.get(&publisher.service).copied();
         if *renewed < disturbed_until.unwrap_or_default() || now < renewed + RENEWAL_DELAY {
+            // Where all that is known of earlier terms was lost, later leaders begin above its terms.
+            terms.retain(|of, _| *of == publisher);
             return Ok(());
         }
         self.takeovers += 1;
