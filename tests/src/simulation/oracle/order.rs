@@ -194,9 +194,12 @@ impl Order {
         let highest = of_others.filter(|term| *term <= believed).max().unwrap_or(0);
         let Some(renewed) = self.renewals.get(&former) else { return Ok(()) };
         let disturbed_until = self.disturbed_until.get(&publisher.service).copied();
-        if *renewed < disturbed_until.unwrap_or_default() || now < renewed + RENEWAL_DELAY {
-            // Where all that is known of earlier terms was lost, later leaders begin above its terms.
+        if *renewed < disturbed_until.unwrap_or_default() {
+            // All that is known of earlier terms may be lost: later leaders begin above those of this one.
             terms.retain(|of, _| *of == publisher);
+            return Ok(());
+        }
+        if now < renewed + RENEWAL_DELAY {
             return Ok(());
         }
         self.takeovers += 1;

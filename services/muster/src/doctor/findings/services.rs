@@ -177,26 +177,24 @@ pub(super) fn clocks(look: &Look) -> Option<Finding> {
 
 /// Services that began without what they had stored, or cannot store.
 pub(super) fn state(look: &Look) -> Vec<Finding> {
-    let with = |gauge: StatusGauge| -> Vec<String> {
-        let is_set = |status: &&ServiceStatus| status.gauge(gauge) > 0;
-        let of = |status: &ServiceStatus| format!("{} {}", status.service, status.instance);
-        look.after.iter().filter(is_set).map(of).collect()
+    let those = |is_meant: &dyn Fn(&ServiceStatus) -> bool| -> Vec<String> {
+        let meant = look.after.iter().filter(|status| is_meant(status));
+        meant.map(|status| format!("{} {}", status.service, status.instance)).collect()
     };
+    let with = |gauge: StatusGauge| those(&|status| status.gauge(gauge) > 0);
     let mut found = Vec::new();
-    let first: Vec<_> = look.after.iter().filter(|status| is_first_start(status)).collect();
+    let first = those(&is_first_start);
     if !first.is_empty() {
-        let all = first.iter().map(|status| format!("{} {}", status.service, status.instance));
-        let all: Vec<_> = all.collect();
         found.push(
             finding(
                 "state_empty",
                 Severity::Note,
-                format!("began with nothing stored, as at a first start: {}", all.join(", ")),
+                format!("began with nothing stored, as at a first start: {}", first.join(", ")),
                 "nothing, if this was the first start on its host. If it has run there before, its state is \
                  lost, and settings that were changed are those of file and flags again: compare `muster set \
                  SERVICE`, and keep the state directory on a disk that lasts (a volume, for a container)",
             )
-            .about(&all),
+            .about(&first),
         );
     }
     let lost = with(StatusGauge::StateLost);
