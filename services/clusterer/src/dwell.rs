@@ -9,7 +9,7 @@ use std::time::Duration;
 use muster_division::number::best_number;
 use muster_model::id::{RobotId, TeamId};
 use muster_model::settings::TeamCount;
-use muster_model::teams::Teams;
+use muster_model::teams::{HeldRobot, Teams};
 use muster_model::time::Tick;
 
 /// How long another number of teams must be the best one before it is used: a few frames of a fleet, so that
@@ -90,6 +90,14 @@ pub(crate) struct MoveDwell {
 }
 
 impl MoveDwell {
+    /// The moves that an earlier leader held back because robots had left.
+    pub(crate) fn resumed(now: Tick, held: &[HeldRobot]) -> Self {
+        let pending = held.iter().map(|held| {
+            (held.robot.clone(), Pending { to: held.team.clone(), since: now, is_by_loss: true })
+        });
+        Self { pending: pending.collect(), losses: Losses::default() }
+    }
+
     /// Which robots stay in their team of the division before, although the new division has them in another.
     ///
     /// A change counts at once where the number of teams has changed, where one of the two teams is in only one
@@ -335,6 +343,22 @@ mod tests {
         // Without a whole team that is absent it waits until no more robots are about to leave.
         assert_eq!(held(20_000, &other, Some(26_000), false), ("m".to_owned(), Some(at(26_000))));
         assert_eq!(held(26_000, &other, Some(26_000), false), (String::new(), None));
+    }
+
+    #[test]
+    fn moves_that_an_earlier_leader_held_back_for_an_absent_team_wait_for_it() {
+        let before = division(&[("t1", "a b m"), ("t2", "y z")]);
+        let other = division(&[("t1", "a b"), ("t2", "m y z")]);
+        let held = [HeldRobot { robot: robot("m"), team: TeamId::new("t2").unwrap() }];
+        for (is_team_absent, later) in [(true, 1), (false, 0)] {
+            let mut dwell = MoveDwell::resumed(at(0), &held);
+            let losses = Losses { is_team_absent, ..Losses::default() };
+            for (ms, count) in [(0, 1), (9000, later)] {
+                let held =
+                    dwell.hold(at(ms), DWELL, &other, Some(&before), &BTreeSet::new(), losses);
+                assert_eq!(held.len(), count, "{is_team_absent} after {ms} ms");
+            }
+        }
     }
 
     #[test]

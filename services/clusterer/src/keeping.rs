@@ -2,19 +2,23 @@
 //!
 //! The last division is written when its teams have changed, not with every frame. Numbers of new teams are
 //! reserved on disk in blocks, before a division can give them: whatever was lost since, no number is given
-//! again. A standby keeps the divisions that it receives.
+//! again. With it is written which teams robots had before it: those that are absent keep their place and their id over a
+//! restart. A standby keeps the divisions that it receives.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::time::Duration;
 
 use muster_model::content::Checked;
 use muster_model::id::RobotId;
-use muster_model::teams::{Team, Teams};
+use muster_model::remembered::RememberedTeams;
+use muster_model::teams::{Limited, Team, Teams};
 use muster_model::time::Tick;
 use muster_model::wish::WishList;
 use muster_wire::kept::KeptTeams;
 
 use muster_division::identity::{MAX_KEPT_NUMBER, is_believable};
+use muster_division::memory::Memory;
 
 /// Shortest time between two writes of divisions: a fleet that changes in every frame must not wear out its
 /// disk, and what a power cut may lose is less than half a second of changes.
@@ -37,8 +41,13 @@ pub(crate) struct Keeping {
     newest: Option<Checked<Teams>>,
     /// Whether that was published in the life of this process, and not only found on disk.
     was_received: bool,
-    /// The division of the last write.
+    /// Teams that robots had before it.
+    memory: Arc<Memory>,
+    /// The same, as it was found on disk, until the time is known from which on it counts.
+    restored: Option<RememberedTeams>,
+    /// The division of the last write, and what was remembered then.
     written: Option<Checked<Teams>>,
+    written_memory: Arc<Memory>,
     /// Whether those two differ in what matters after a restart.
     is_changed: bool,
     /// When a division was last written.
@@ -79,6 +88,7 @@ impl Keeping {
         (self.reserved, self.requested) = (kept.reserved, kept.reserved);
         self.written.clone_from(&kept.teams);
         self.newest = kept.teams;
+        self.restored = Some(kept.remembered);
         self.written_wishes.clone_from(&kept.wishes);
         self.wishes = kept.wishes;
         Ok(())
@@ -131,12 +141,39 @@ impl Keeping {
         self.division().filter(|_| self.was_received)
     }
 
-    /// A division was published, by this instance or another one.
-    pub(crate) fn note(&mut self, teams: &Checked<Teams>) {
+    /// This instance has published a division. `memory` holds the teams that robots had before it.
+    pub(crate) fn note(&mut self, teams: &Checked<Teams>, memory: &Arc<Memory>) {
+        self.memory = Arc::clone(memory);
+        self.restored = None;
+        self.note_division(teams);
+    }
+
+    fn note_division(&mut self, teams: &Checked<Teams>) {
         self.next_team = self.next_team.max(teams.next_team);
         self.newest = Some(teams.clone());
         self.was_received = true;
         self.is_changed = self.has_other_teams();
+    }
+
+    /// The teams that robots had before `division`, the last one. What was found on disk belongs to the division that was found
+    /// with it: another one may be much later.
+    pub(crate) fn memory_at(&mut self, now: Tick, division: &Teams) -> Arc<Memory> {
+        let mut memory = Arc::clone(&self.memory);
+        match self.restored.take() {
+            Some(restored) => {
+                let is_same = self.newest.as_ref().is_some_and(|last| same_teams(last, division));
+                if is_same {
+                    memory = Arc::new(Memory::of(&restored, now));
+                }
+            }
+            None => {
+                let memory = Arc::make_mut(&mut memory);
+                memory.forget(now);
+                memory.follow(now, self.newest.as_deref(), division);
+            }
+        }
+        self.memory = Arc::clone(&memory);
+        memory
     }
 
     /// Another service remembers a division after which `next_team` was the next number. If nothing is on disk here, what
@@ -148,9 +185,10 @@ impl Keeping {
     }
 
     /// A division was received while another instance leads.
-    pub(crate) fn hear(&mut self, teams: &Checked<Teams>) {
+    pub(crate) fn hear(&mut self, now: Tick, teams: &Checked<Teams>) {
         if is_believable(teams) {
-            self.note(teams);
+            self.memory_at(now, teams);
+            self.note_division(teams);
             // The leader may give some more that this instance does not receive.
             let given = teams.next_team.saturating_add(NUMBER_BLOCK / 2);
             if given > self.requested {
@@ -197,7 +235,12 @@ impl Keeping {
         match (&self.newest, &self.written) {
             (Some(newest), Some(written)) => {
                 // After a restart the term tells whether the embedder has lived on.
-                newest.embedding.term != written.embedding.term || !same_teams(newest, written)
+                newest.embedding.term != written.embedding.term
+                    || !same_teams(newest, written)
+                    || self.memory.has_robots() && newest.held != written.held
+                    || newest.limited.as_ref().is_some_and(Limited::stands)
+                        != written.limited.as_ref().is_some_and(Limited::stands)
+                    || !self.memory.remembers_as(&self.written_memory)
             }
             (newest, _) => newest.is_some(),
         }
@@ -209,11 +252,13 @@ impl Keeping {
             self.written_at = Some(now);
         }
         self.written.clone_from(&self.newest);
+        self.written_memory = Arc::clone(&self.memory);
         self.written_wishes.clone_from(&self.wishes);
         self.failed_at = None;
         let kept = KeptTeams {
             reserved: self.requested,
             teams: self.newest.clone(),
+            remembered: self.restored.clone().unwrap_or_else(|| self.memory.remembered()),
             wishes: self.wishes.clone(),
         };
         let bytes = kept.encode().ok();
@@ -326,8 +371,9 @@ mod tests {
     fn what_cannot_be_read_is_refused() {
         let mut keeping = Keeping::default();
         assert!(keeping.restore(b"{}").unwrap_err().contains("no file that this service has kept"));
-        let used_up =
-            |reserved| KeptTeams { reserved, teams: None, wishes: None }.encode().unwrap();
+        let remembered = RememberedTeams::default();
+        let nothing = KeptTeams { reserved: 0, teams: None, remembered, wishes: None };
+        let used_up = |reserved| KeptTeams { reserved, ..nothing.clone() }.encode().unwrap();
         for reserved in [MAX_KEPT_NUMBER + 1, u64::MAX] {
             let problem = keeping.restore(&used_up(reserved)).unwrap_err();
             assert!(problem.contains("numbers of teams"), "{problem}");

@@ -11,7 +11,7 @@ use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, SkillId, TeamId};
 use muster_model::limits::MAX_CONFLICT_LENGTH;
-use muster_model::teams::{Limited, SkillPrices, Teams};
+use muster_model::teams::{Limited, SkillPrices, Team, Teams};
 use muster_numeric::assignment::{
     Assigner, Bounds, Column, CostMatrix, Pair, Rules, ValidRules, ValidWishes, Wishes,
 };
@@ -25,42 +25,89 @@ use crate::seats::last_of;
 
 /// How many divisions are made at most, each from the one before, and only where that has changed something. Each costs as much
 /// as the first.
-const MAX_PASSES: usize = 4;
+const MAX_PASSES: usize = 8;
+
+/// Two teams exchange most of their robots only where the sum of squared distances becomes this share of what it was, or less.
+const EXCHANGE_SHARE: f64 = 0.5;
 
 /// Divides the robots that have a non-zero embedding. While nothing satisfies the rules the last division stands.
 ///
 /// Teams do not swap their ids for a few robots, so that what is found depends on where robots were: from what was found
-/// something better may be found that was out of reach before. So it is divided again until nothing changes any more, or
-/// until a division comes back, at most [`MAX_PASSES`] times: the same vectors that are divided another time, such as after a
-/// restart, seldom change anything.
+/// something better may be found that was out of reach before. So it is divided again until nothing changes any more. Where a
+/// division comes back, the best one since is taken, so that it does not depend on where that began: the same vectors that are divided
+/// another time, such as after a restart, change nothing.
 pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
-    let mut found = divide_once(job, rules)?;
-    // Wishes for a team that is new, or lives again, count from the next division on: it keeps a robot of before until then.
-    let Some(first) = job.previous.as_deref().filter(|first| has_all_teams(first, &found)) else {
-        return Ok(found);
-    };
+    let mut found = divide_from(job, rules)?;
+    let first = job.previous.as_deref();
     let mut earlier: Vec<Teams> = Vec::new();
     for _ in 1..MAX_PASSES {
-        if is_kept(first, &found) || found.limited.as_ref().is_some_and(Limited::stands) {
+        let is_kept_by_all = first.is_some_and(|first| is_kept(first, &found));
+        if is_kept_by_all || found.limited.as_ref().is_some_and(Limited::stands) {
             break;
         }
         let again = Job { previous: Some(Checked::new_unchecked(found.clone())), ..job.clone() };
         let rules = rules.clone().resolved(Some(&found), &job.memory, &job.embedding);
         // A search may end before it finds anything; what was found stands.
-        let Ok(next) = divide_once(&again, &rules) else { break };
-        let comes_back = earlier.iter().any(|before| is_kept(before, &next));
-        if comes_back || !has_same_teams(&found, &next) || !keeps_ids(&found, &next) {
+        let Ok(next) = divide_from(&again, &rules) else { break };
+        if !has_same_teams(&found, &next) {
             break;
         }
-        let is_last = is_kept(&found, &next);
-        let next = Teams { changes: found.changes.clone(), ..next };
-        let next = Teams { changes: changes_since(&next, Some(first)), ..next };
-        earlier.push(std::mem::replace(&mut found, next));
-        if is_last {
+        if is_kept(&found, &next) {
+            found.limited = next.limited;
             break;
+        }
+        let next = Teams { changes: found.changes.clone(), ..next };
+        let next = Teams { changes: changes_since(&next, first), ..next };
+        earlier.push(std::mem::replace(&mut found, next));
+        if let Some(at) = earlier.iter().position(|before| is_kept(before, &found)) {
+            let circle = earlier.into_iter().skip(at);
+            let order = |left: &Teams, right: &Teams| {
+                let members = |teams: &'_ Teams| -> Vec<Vec<RobotId>> {
+                    let robots =
+                        |team: &Team| team.members.iter().map(|m| m.robot.clone()).collect();
+                    teams.teams.iter().map(robots).collect()
+                };
+                left.inertia
+                    .total_cmp(&right.inertia)
+                    .then_with(|| members(left).cmp(&members(right)))
+            };
+            return Ok(circle.min_by(order).unwrap_or(found));
         }
     }
     Ok(found)
+}
+
+/// One division, from the last one: the best one, or else, where two teams would exchange their robots for little, the best one that
+/// is reached from the last one step by step.
+fn divide_from(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
+    let best = divide_once(job, rules, Search::All)?;
+    let Some(last) = job.previous.as_deref().filter(|last| has_same_teams(last, &best)) else {
+        return Ok(best);
+    };
+    if keeps_ids(last, &best) || !is_sound(rules, last, &best) {
+        return Ok(best);
+    }
+    let Ok(near) = divide_once(job, rules, Search::Refining) else { return Ok(best) };
+    let is_better = best.inertia <= EXCHANGE_SHARE * near.inertia;
+    let is_near = has_same_teams(last, &near) && keeps_ids(last, &near);
+    Ok(if is_near && !is_better { near } else { best })
+}
+
+/// Whether the robots of a division were in the teams of the last one as the rules want it.
+fn is_sound(rules: &TeamRules, last: &Teams, found: &Teams) -> bool {
+    let has_conflict = found.limited.as_ref().is_some_and(|limited| limited.conflict.is_some());
+    let placed: BTreeMap<RobotId, TeamId> =
+        last.assignments().map(|(robot, team)| (robot.clone(), team.clone())).collect();
+    let columns: Vec<TeamId> = last.teams.iter().map(|team| team.id.clone()).collect();
+    let admits = |team: &Team| {
+        let robots: Vec<&RobotId> = team.members.iter().map(|member| &member.robot).collect();
+        rules.admits(&team.id, &robots, &columns)
+    };
+    !has_conflict
+        && found.assignments().count() == placed.len()
+        && found.assignments().all(|(robot, _)| placed.contains_key(robot))
+        && last.teams.iter().all(admits)
+        && rules.grants_groups(&placed)
 }
 
 /// Whether two divisions have teams with the same ids.
@@ -69,11 +116,6 @@ fn has_same_teams(left: &Teams, right: &Teams) -> bool {
         teams.teams.iter().map(|team| team.id.clone()).collect()
     };
     ids(left) == ids(right)
-}
-
-/// Whether all teams of a division were there before.
-fn has_all_teams(before: &Teams, now: &Teams) -> bool {
-    now.teams.iter().all(|team| before.teams.iter().any(|known| known.id == team.id))
 }
 
 /// Whether every robot of a division was in its team before.
@@ -102,10 +144,11 @@ fn keeps_ids(before: &Teams, now: &Teams) -> bool {
 }
 
 /// One division, from the last one.
-fn divide_once(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
+fn divide_once(job: &Job, rules: &TeamRules, search: Search) -> Result<Teams, DivisionError> {
     let embedding = &*job.embedding;
     let rows = rules.rows(embedding);
-    let solved = if rows.is_empty() { Solved::default() } else { solve(job, rules, &rows)? };
+    let solved =
+        if rows.is_empty() { Solved::default() } else { solve(job, rules, &rows, search)? };
     let Solved { columns, labels, limited } = solved;
     let stands = limited.as_ref().is_some_and(Limited::stands);
     let mut ids: Vec<TeamId> = Vec::new();
@@ -261,9 +304,23 @@ enum Closing {
     Nothing,
 }
 
+/// Which divisions are looked at.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Search {
+    /// Those from many starts.
+    All,
+    /// Those that are reached from the last one step by step.
+    Refining,
+}
+
 /// The best division within the rules; the last one where nothing satisfies them.
-fn solve(job: &Job, rules: &TeamRules, rows: &[usize]) -> Result<Solved, DivisionError> {
-    match Problem::new(job, rules, rows, Closing::Closed)?.solve(job)? {
+fn solve(
+    job: &Job,
+    rules: &TeamRules,
+    rows: &[usize],
+    search: Search,
+) -> Result<Solved, DivisionError> {
+    match Problem::new(job, rules, rows, Closing::Closed)?.solve(job, search)? {
         Ok(solved) => Ok(solved),
         Err(conflict) => Problem::new(job, rules, rows, Closing::Nothing)?.stand(job, conflict),
     }
@@ -305,16 +362,20 @@ impl<'a> Problem<'a> {
         job: &Job,
         rules: &ValidRules,
         groups: &ValidWishes,
+        search: Search,
     ) -> Result<Result<Vec<Option<usize>>, LimitedError>, DivisionError> {
         let params = DivisionParams::new(&job.settings, self.columns.len()).check()?;
         let within = |previous: &[Option<Column>], refine_only: bool| {
             let limits = Limits { rules, groups, previous, refine_only };
             divide_within(&self.x, &params, &limits)
         };
-        let found = match within(&self.previous, false) {
+        let found = match within(&self.previous, search == Search::Refining) {
             Ok(found) => found,
             Err(error) => return Ok(Err(error)),
         };
+        if search == Search::Refining {
+            return Ok(Ok(found.labels));
+        }
         let Some(kept) = self.with_kept_ids(&found.labels) else { return Ok(Ok(found.labels)) };
         // A search that ends before it finds anything leaves what was found first.
         let begun = [&self.previous, &kept].map(|previous| within(previous, true).ok());
@@ -341,7 +402,7 @@ impl<'a> Problem<'a> {
     }
 
     /// The best division within the rules; why there is none, where nothing satisfies them.
-    fn solve(self, job: &Job) -> Result<Result<Solved, String>, DivisionError> {
+    fn solve(self, job: &Job, search: Search) -> Result<Result<Solved, String>, DivisionError> {
         // Where needs cannot all be filled, as many are as can be, and all else holds.
         let mut first_conflict = None;
         let lenient = self.rules.needs.lenient();
@@ -352,7 +413,7 @@ impl<'a> Problem<'a> {
                 None => {
                     let valid = rules.assignment(&self.columns, &self.robots)?;
                     let groups = rules.groups(&valid, &self.columns, &self.robots)?;
-                    match self.divided(job, &valid, &groups.valid)? {
+                    match self.divided(job, &valid, &groups.valid, search)? {
                         Ok(labels) => {
                             let columns = self.named(&labels);
                             let limited = first_conflict.map(Limited::lacking);
@@ -376,7 +437,7 @@ impl<'a> Problem<'a> {
         let relaxed = |stay: &[Option<Column>]| -> Result<_, DivisionError> {
             let rules = self.rules.relaxed(&self.columns, &self.robots, stay)?;
             let nobody = Wishes::default().check(&rules)?;
-            self.divided(job, &rules, &nobody)
+            self.divided(job, &rules, &nobody, Search::All)
         };
         let members: BTreeSet<&RobotId> = match job.previous.as_deref() {
             Some(last) => last.assignments().map(|(robot, _)| robot).collect(),

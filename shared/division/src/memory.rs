@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use muster_model::id::{RobotId, TeamId};
 use muster_model::limits::{MAX_ROBOTS, MAX_TEAMS};
+use muster_model::remembered::RememberedTeams;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
 
@@ -36,6 +37,52 @@ pub(crate) struct Ended {
 }
 
 impl Memory {
+    /// What an earlier process remembered. How long ago all that was is not known: it counts from now.
+    #[must_use]
+    pub fn of(remembered: &RememberedTeams, now: Tick) -> Self {
+        let RememberedTeams { last, ended, newcomers_from } = remembered;
+        let last = last.iter().map(|(robot, team)| (robot.clone(), (team.clone(), now))).collect();
+        let ended = ended.iter().map(|(team, members)| {
+            let members = members.iter().cloned().collect();
+            (team.clone(), Ended { members, at: now })
+        });
+        Self { last, ended: ended.collect(), next_team: 0, newcomers_from: *newcomers_from }
+    }
+
+    /// What the next process is to remember.
+    #[must_use]
+    pub fn remembered(&self) -> RememberedTeams {
+        let last = self.last.iter().map(|(robot, (team, _))| (robot.clone(), team.clone()));
+        let members = |ended: &Ended| ended.members.iter().cloned().collect();
+        let ended = self.ended.iter().map(|(team, ended)| (team.clone(), members(ended)));
+        RememberedTeams {
+            last: last.collect(),
+            ended: ended.collect(),
+            newcomers_from: self.newcomers_from,
+        }
+    }
+
+    /// Whether both remember the same, whenever it was.
+    #[must_use]
+    pub fn remembers_as(&self, other: &Self) -> bool {
+        let last = self.last.iter().zip(&other.last);
+        let ended = self.ended.iter().zip(&other.ended);
+        self.newcomers_from == other.newcomers_from
+            && (self.last.len(), self.ended.len()) == (other.last.len(), other.ended.len())
+            && last
+                .into_iter()
+                .all(|((robot, (team, _)), (other, (last, _)))| (robot, team) == (other, last))
+            && ended.into_iter().all(|((team, ended), (other, last))| {
+                team == other && ended.members == last.members
+            })
+    }
+
+    /// Whether robots are remembered that have left, or have no team.
+    #[must_use]
+    pub fn has_robots(&self) -> bool {
+        !self.last.is_empty()
+    }
+
     /// One division follows another.
     pub fn follow(&mut self, now: Tick, before: Option<&Teams>, after: &Teams) {
         let placed: BTreeSet<&RobotId> = after.assignments().map(|(robot, _)| robot).collect();
@@ -180,6 +227,19 @@ mod tests {
             ended: ended.collect(),
             next_team: 0,
             newcomers_from: 0,
+        }
+    }
+
+    #[test]
+    fn the_next_process_remembers_the_same_from_its_start_on() {
+        let before = memory(3, &[2, 3]);
+        let after = Memory::of(&before.remembered(), Tick(5_000_000_000));
+        assert!(after.remembers_as(&before) && after.has_robots());
+        assert!(before.is_overdue(Tick(4000).after(TEAM_MEMORY_TIME)));
+        assert!(!after.is_overdue(Tick(4_999_999_999).after(TEAM_MEMORY_TIME)));
+        assert!(after.is_overdue(Tick(5_000_000_000).after(TEAM_MEMORY_TIME)));
+        for other in [memory(2, &[2, 3]), memory(3, &[2]), memory(3, &[2, 2])] {
+            assert!(!after.remembers_as(&other));
         }
     }
 

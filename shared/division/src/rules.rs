@@ -528,6 +528,13 @@ impl TeamRules {
         format!("{noun} {}", crate::words::list(&names))
     }
 
+    /// Whether all wishes that robots be together or apart are granted where these are placed.
+    pub(crate) fn grants_groups(&self, placed: &BTreeMap<RobotId, TeamId>) -> bool {
+        let of_groups =
+            |asked: &&Asked| matches!(asked.wish.kind, WishKind::Together | WishKind::Apart);
+        self.wishes.iter().filter(of_groups).all(|asked| grants_group(&asked.wish, placed))
+    }
+
     /// Whether these robots may be a team of these.
     pub(crate) fn admits(&self, team: &TeamId, robots: &[&RobotId], columns: &[TeamId]) -> bool {
         let is_here = |column: Column| matches!(column, Column::Team(at) if columns[at] == *team);

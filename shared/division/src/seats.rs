@@ -153,8 +153,8 @@ impl Seats {
     }
 }
 
-/// Seats that were kept for absent teams in a division of an earlier leader. Which robots
-/// they are kept for is not known any more: whoever returns is a newcomer.
+/// Seats that were kept for absent teams in a division of an earlier leader, and for which nothing is remembered any more:
+/// whoever returns is a newcomer.
 #[derive(Debug, Clone, Default)]
 pub struct Vacancies {
     seats: u32,
@@ -162,16 +162,18 @@ pub struct Vacancies {
 }
 
 impl Vacancies {
-    /// Those of a division of an earlier leader. A division that stands because nothing satisfies the limits has fewer teams than
-    /// were asked for as well, and keeps no seat for that.
-    pub fn of(found: &Teams) -> Self {
+    /// Those of a division of an earlier leader, without those of the teams that are remembered. A division that stands because
+    /// nothing satisfies the limits has fewer teams than were asked for as well, and keeps no seat for that.
+    pub fn of(found: &Teams, memory: &Memory) -> Self {
         if found.limited.as_ref().is_some_and(Limited::stands) {
             return Self::default();
         }
         let teams = u32::try_from(found.teams.len()).unwrap_or(u32::MAX);
         // A file may say anything.
         let requested = found.requested.min(MAX_TEAMS);
-        Self { seats: requested.saturating_sub(teams), since: None }
+        let lost = memory.lost_teams(&BTreeSet::new()).count();
+        let known = teams.saturating_add(u32::try_from(lost).unwrap_or(u32::MAX));
+        Self { seats: requested.saturating_sub(known), since: None }
     }
 
     /// How many seats are kept. They are as long as a team is remembered, and until all seats are taken in the

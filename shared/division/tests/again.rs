@@ -78,11 +78,7 @@ impl Fleet {
     }
 }
 
-/// Most of the cases in which another division is found from the one before. With one search from each division there were
-/// 64; those that are left are divisions in which two teams would exchange their ids bit by bit.
-const MOST_UNSETTLED: usize = 32;
-
-/// Robots have moved since the last division, and have stood since: a restart then changes hardly anything.
+/// Robots have moved since the last division, and have stood since: a restart then changes nothing.
 #[test]
 fn what_has_changed_is_divided_once() {
     let mut failed = Vec::new();
@@ -96,8 +92,7 @@ fn what_has_changed_is_divided_once() {
             failed.push(format!("{case}: {first} => {second} => {third}"));
         }
     }
-    println!("{} of 2000", failed.len());
-    assert!(failed.len() <= MOST_UNSETTLED, "{} of 2000: {failed:#?}", failed.len());
+    assert!(failed.is_empty(), "{} of 2000: {:#?}", failed.len(), &failed[..failed.len().min(8)]);
 }
 
 #[test]

@@ -29,6 +29,7 @@ pub mod observation;
 pub mod orders;
 pub mod proposal;
 pub mod refused;
+pub mod remembered;
 pub mod replay;
 pub mod role;
 pub mod roster;

@@ -173,6 +173,19 @@ pub(crate) fn unpack<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, EnvelopeErr
     }
 }
 
+/// Reads what [`pack`] wrote. However much the bytes promise, what is allocated for them stays within a multiple of their own
+/// number.
+///
+/// # Errors
+/// [`EnvelopeError`] names what is wrong with the bytes.
+pub(crate) fn unpack_bounded<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, EnvelopeError> {
+    let (content, read) = read(bytes).map_err(|error| EnvelopeError::Content(error.to_string()))?;
+    match bytes.len() - read {
+        0 => Ok(content),
+        trailing => Err(EnvelopeError::Trailing(trailing)),
+    }
+}
+
 /// The number of the kind that a binary message says it has; none where it is too short.
 pub(crate) fn kind_number(bytes: &[u8]) -> Option<u8> {
     bytes.get(HEAD - 1).copied()
@@ -207,12 +220,7 @@ pub(crate) fn decode_as<T: DeserializeOwned>(kind: Kind, bytes: &[u8]) -> Result
     if number != kind.number {
         return Err(EnvelopeError::Kind { got: number, expected: kind.number });
     }
-    let (message, read) =
-        read(content).map_err(|error| EnvelopeError::Content(error.to_string()))?;
-    match bytes.len() - HEAD - read {
-        0 => Ok(message),
-        trailing => Err(EnvelopeError::Trailing(trailing)),
-    }
+    unpack_bounded(content)
 }
 
 /// Reads a content under the smallest limit that fits it.

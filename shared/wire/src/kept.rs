@@ -4,10 +4,13 @@
 //! off or was damaged is recognised, and is not used.
 //!
 //! Of the clusterer ([`KeptTeams`], [`MAGIC`], [`VERSION`]) the content is the end of the reserved numbers in eight bytes with the
-//! lowest first, the length of the wishes in four, the wishes and the division as they are on the bus, if there were any. Of the
-//! embedder ([`KeptShape`], [`SHAPE_MAGIC`], [`SHAPE_VERSION`]) it is the number of teams and K, in four bytes each.
+//! lowest first; then, each after its length in four, the wishes as they are on the bus, and what is remembered of earlier
+//! teams; and the division as it is on the bus. What there was not is empty. Version 3 does not have what is remembered, and is read as
+//! well. Of the embedder ([`KeptShape`], [`SHAPE_MAGIC`], [`SHAPE_VERSION`]) it is the number of teams and K, in four bytes each.
 
-use muster_model::content::Checked;
+use muster_model::content::{Checked, Content};
+use muster_model::limits::MAX_ROBOTS;
+use muster_model::remembered::RememberedTeams;
 use muster_model::teams::Teams;
 use muster_model::wish::WishList;
 
@@ -18,7 +21,10 @@ use crate::recording::{framed, unframed};
 pub const MAGIC: [u8; 8] = *b"\xB7mustkpt";
 
 /// Version of its content. Any change of its types is a new version.
-pub const VERSION: u8 = 3;
+pub const VERSION: u8 = 4;
+
+/// The version before, which is read as well.
+const WITHOUT_REMEMBERED: u8 = 3;
 
 /// The first bytes of the file of the embedder.
 pub const SHAPE_MAGIC: [u8; 8] = *b"\xB7mustshp";
@@ -29,8 +35,9 @@ pub const SHAPE_VERSION: u8 = 1;
 /// Magic bytes and version.
 const HEAD: usize = MAGIC.len() + 1;
 
-/// Largest file in bytes: a division as large as a message may be, and what stands around it.
-pub const MAX_KEPT: usize = MAX_SERVICE_PAYLOAD + 1024;
+/// Largest file in bytes: a division as large as a message may be, all robots of a fleet twice (as robots without a team, and in
+/// teams that ended) with ids of two times 64 characters, and what stands around that.
+pub const MAX_KEPT: usize = MAX_SERVICE_PAYLOAD + 2 * MAX_ROBOTS * 132 + (1 << 20);
 
 /// Why a file is not used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -59,20 +66,40 @@ fn file(magic: [u8; 8], version: u8, content: &[u8]) -> Result<Vec<u8>, Envelope
     Ok(bytes)
 }
 
-/// The content of a file.
-fn content(magic: [u8; 8], version: u8, file: &[u8]) -> Result<&[u8], KeptError> {
+/// The version of a file, which must be one of `versions`, the newest first, and its content.
+fn content<'a>(
+    magic: [u8; 8],
+    versions: &[u8],
+    file: &'a [u8],
+) -> Result<(u8, &'a [u8]), KeptError> {
     let (Some(head), Some(rest)) = (file.get(..HEAD), file.get(HEAD..)) else {
         return Err(KeptError::NotKept);
     };
-    match head.split_last() {
-        Some((found, of)) if of == magic => {
-            if *found != version {
-                return Err(KeptError::Version { found: *found, read: version });
-            }
-        }
+    let version = match head.split_last() {
+        Some((found, of)) if of == magic => *found,
         _ => return Err(KeptError::NotKept),
+    };
+    if !versions.contains(&version) {
+        let read = versions.first().copied().unwrap_or_default();
+        return Err(KeptError::Version { found: version, read });
     }
-    unframed(rest, MAX_KEPT).map_err(KeptError::Damaged)
+    Ok((version, unframed(rest, MAX_KEPT).map_err(KeptError::Damaged)?))
+}
+
+/// Bytes after their length, and the rest; none if they break off.
+fn part(content: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = content.split_first_chunk()?;
+    rest.split_at_checked(u32::from_le_bytes(*length) as usize)
+}
+
+/// Appends bytes and, before them, their length.
+fn append(content: &mut Vec<u8>, part: &[u8]) -> Result<(), EnvelopeError> {
+    let size = part.len();
+    let length = u32::try_from(size);
+    let length = length.map_err(|_| EnvelopeError::TooLarge { size, limit: MAX_KEPT })?;
+    content.extend(length.to_le_bytes());
+    content.extend(part);
+    Ok(())
 }
 
 /// What the embedder keeps: what the next embedding would be without any before it may be other than what all have.
@@ -99,7 +126,7 @@ impl KeptShape {
     /// # Errors
     /// [`KeptError`] names what is wrong with them.
     pub fn decode(bytes: &[u8]) -> Result<Self, KeptError> {
-        let content = content(SHAPE_MAGIC, SHAPE_VERSION, bytes)?;
+        let (_, content) = content(SHAPE_MAGIC, &[SHAPE_VERSION], bytes)?;
         let &[a, b, c, d, e, f, g, h] = content else {
             return Err(KeptError::Damaged(format!("it has {} bytes and not 8", content.len())));
         };
@@ -115,6 +142,8 @@ pub struct KeptTeams {
     pub reserved: u64,
     /// The last division, if there was one.
     pub teams: Option<Checked<Teams>>,
+    /// Teams that robots had before it.
+    pub remembered: RememberedTeams,
     /// The wishes of operators, if there were any.
     pub wishes: Option<Checked<WishList>>,
 }
@@ -128,11 +157,10 @@ impl KeptTeams {
         let mut content = self.reserved.to_le_bytes().to_vec();
         let wishes =
             self.wishes.as_ref().map_or(Ok(Vec::new()), |list| envelope::encode(&**list))?;
-        let size = wishes.len();
-        let length = u32::try_from(size);
-        let length = length.map_err(|_| EnvelopeError::TooLarge { size, limit: MAX_KEPT })?;
-        content.extend(length.to_le_bytes());
-        content.extend(wishes);
+        append(&mut content, &wishes)?;
+        let is_nothing = self.remembered == RememberedTeams::default();
+        let remembered = if is_nothing { Vec::new() } else { envelope::pack(&self.remembered)? };
+        append(&mut content, &remembered)?;
         if let Some(teams) = &self.teams {
             content.extend(envelope::encode(&**teams)?);
         }
@@ -144,28 +172,32 @@ impl KeptTeams {
     /// # Errors
     /// [`KeptError`] names what is wrong with them.
     pub fn decode(bytes: &[u8]) -> Result<Self, KeptError> {
-        let damaged = |problem: String| KeptError::Damaged(problem);
-        let content = content(MAGIC, VERSION, bytes)?;
-        let broken = || damaged("it breaks off".to_owned());
+        let damaged = |problem: &dyn std::fmt::Display| KeptError::Damaged(problem.to_string());
+        let (version, content) = content(MAGIC, &[VERSION, WITHOUT_REMEMBERED], bytes)?;
+        let broken = || damaged(&"it breaks off");
         let (reserved, rest) = content.split_first_chunk().ok_or_else(broken)?;
-        let (length, rest) = rest.split_first_chunk().ok_or_else(broken)?;
         let reserved = u64::from_le_bytes(*reserved);
-        let length = u32::from_le_bytes(*length) as usize;
-        let (wishes, division) = rest.split_at_checked(length).ok_or_else(broken)?;
-        let wishes = if wishes.is_empty() {
-            None
-        } else {
-            let list: WishList =
-                envelope::decode(wishes).map_err(|error| damaged(error.to_string()))?;
-            Some(Checked::new(list).map_err(|error| damaged(error.to_string()))?)
+        let (wishes, rest) = part(rest).ok_or_else(broken)?;
+        let (remembered, division) = match version {
+            WITHOUT_REMEMBERED => (&[][..], rest),
+            _ => part(rest).ok_or_else(broken)?,
         };
-        if division.is_empty() {
-            return Ok(Self { reserved, teams: None, wishes });
+        let mut kept =
+            Self { reserved, teams: None, remembered: RememberedTeams::default(), wishes: None };
+        if !wishes.is_empty() {
+            let list: WishList = envelope::decode(wishes).map_err(|error| damaged(&error))?;
+            kept.wishes = Some(Checked::new(list).map_err(|error| damaged(&error))?);
         }
-        let teams: Teams =
-            envelope::decode(division).map_err(|error| damaged(error.to_string()))?;
-        let teams = Checked::new(teams).map_err(|error| damaged(error.to_string()))?;
-        Ok(Self { reserved, teams: Some(teams), wishes })
+        if !remembered.is_empty() {
+            kept.remembered =
+                envelope::unpack_bounded(remembered).map_err(|error| damaged(&error))?;
+            kept.remembered.check().map_err(|error| damaged(&error))?;
+        }
+        if !division.is_empty() {
+            let teams: Teams = envelope::decode(division).map_err(|error| damaged(&error))?;
+            kept.teams = Some(Checked::new(teams).map_err(|error| damaged(&error))?);
+        }
+        Ok(kept)
     }
 }
 
@@ -228,6 +260,11 @@ mod tests {
         KeptTeams {
             reserved: 108,
             teams: Some(Checked::new(teams).unwrap()),
+            remembered: RememberedTeams {
+                last: vec![(RobotId::new("r2").unwrap(), TeamId::numbered(6))],
+                ended: vec![(TeamId::numbered(6), vec![RobotId::new("r2").unwrap()])],
+                newcomers_from: 5,
+            },
             wishes: Some(Checked::new(wishes).unwrap()),
         }
     }
@@ -235,16 +272,30 @@ mod tests {
     #[test]
     fn what_is_kept_is_read_back() {
         let alone = KeptTeams { teams: None, ..kept() };
-        for kept in [kept(), alone, KeptTeams { reserved: 5, teams: None, wishes: None }] {
+        let nothing = RememberedTeams::default();
+        let numbers =
+            KeptTeams { reserved: 5, teams: None, remembered: nothing.clone(), wishes: None };
+        for kept in [kept(), alone, KeptTeams { remembered: nothing, ..kept() }, numbers] {
             assert_eq!(KeptTeams::decode(&kept.encode().unwrap()), Ok(kept));
         }
     }
 
     #[test]
     fn the_bytes_are_those_of_the_version() {
-        let bytes = KeptTeams { reserved: 300, teams: None, wishes: None }.encode().unwrap();
-        let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-        assert_eq!(hex, "b76d7573746b7074030c00000076061c5d2c0100000000000000000000");
+        let remembered = RememberedTeams::default();
+        let kept = KeptTeams { reserved: 300, teams: None, remembered, wishes: None };
+        let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+        let bytes = kept.encode().unwrap();
+        assert_eq!(
+            hex(&bytes),
+            "b76d7573746b70740410000000000000002c010000000000000000000000000000"
+        );
+        let before = "b76d7573746b7074030c00000076061c5d2c0100000000000000000000";
+        let before: Vec<u8> = (0..before.len())
+            .step_by(2)
+            .map(|at| u8::from_str_radix(&before[at..at + 2], 16).unwrap())
+            .collect();
+        assert_eq!(KeptTeams::decode(&before), Ok(kept), "the version before is read");
     }
 
     #[test]

@@ -15,6 +15,7 @@ use muster_wire::Message;
 
 use super::awaiting::Reunion;
 use super::{Clusterer, Context, Received};
+use crate::dwell::MoveDwell;
 use crate::wishes::WishBook;
 
 impl Clusterer {
@@ -42,7 +43,7 @@ impl Clusterer {
     /// A division that was published. A standby keeps it, a leader gives none of its numbers.
     fn accept_teams(&mut self, context: &Context<'_>, teams: &Checked<Teams>) {
         if !context.has_term() {
-            self.keeping.hear(teams);
+            self.keeping.hear(context.now(), teams);
         } else if is_believable(teams) && teams.next_team > self.memory.next_team {
             Arc::make_mut(&mut self.memory).next_team = teams.next_team;
         }
@@ -129,7 +130,7 @@ impl Clusterer {
         if let Some(wishes) = self.keeping.wishes() {
             self.wishes = WishBook::of(&wishes.wishes);
         }
-        self.inherit_kept();
+        self.inherit_kept(now);
         Arc::make_mut(&mut self.memory).next_team = self.keeping.next_team;
         let named = self.division.as_ref().map(|division| division.embedding);
         for message in messages {
@@ -147,9 +148,9 @@ impl Clusterer {
         self.received_by_others = self.division.clone();
     }
 
-    /// Takes over the division on disk, if no service holds one that is as new, and what a division alone says: which
-    /// seats it keeps, and which robots there were.
-    fn inherit_kept(&mut self) {
+    /// Takes over the division on disk, if no service holds one that is as new, the teams that robots had before it, and what a
+    /// division alone says: which seats it keeps, which robots there were, and which moves wait.
+    fn inherit_kept(&mut self, now: Tick) {
         let last = self.division.as_ref().map(|division| division.header.revision);
         if let Some(kept) = self.keeping.division()
             && last.is_none_or(|last| kept.header.revision >= last)
@@ -157,7 +158,13 @@ impl Clusterer {
             self.division = Some(kept.clone());
         }
         if let Some(division) = &self.division {
-            self.vacancies = Vacancies::of(division);
+            self.memory = self.keeping.memory_at(now, division);
+            self.vacancies = Vacancies::of(division, &self.memory);
+            if self.memory.has_robots() {
+                self.moves = MoveDwell::resumed(now, &division.held);
+                // How long ago they left is not known: others may follow.
+                self.arrivals.note_loss(now);
+            }
             // Whoever remembers it may have it from a disk as well: then all services were restarted, and receive one robot
             // after the other.
             self.reunion = Some(Reunion::default());
