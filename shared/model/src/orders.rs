@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use crate::id::RobotId;
-use crate::roster::{Roster, RosterEntry};
+use crate::roster::{Presence, Roster, RosterEntry};
 use crate::time::Tick;
 
 /// How long orders are new: a squad that is handed over reaches its new neighbours within it.
@@ -19,6 +19,15 @@ const JOINING_TIME: Duration = Duration::from_secs(5);
 
 fn is_past(now: Tick, at: Tick) -> bool {
     now >= at.after(NEW_ORDERS_TIME)
+}
+
+/// Whether a robot has left and come back between two rosters: nothing that it reported before is known. Its messages come one by
+/// one. A robot that was silent, and of which no superior is known any more, has not said so first of all.
+fn has_rejoined(before: &RosterEntry, after: &RosterEntry) -> bool {
+    before.position.is_some() && after.position.is_none()
+        || before.presence == Presence::Stale
+            && before.superior.is_some()
+            && after.superior.is_none()
 }
 
 /// Robots whose superior has changed lately.
@@ -37,15 +46,15 @@ impl NewOrders {
         self.changed.retain(|robot, at| !is_past(now, *at) && place(robot).is_ok());
         self.joined.retain(|robot, at| now < at.after(JOINING_TIME) && place(robot).is_ok());
         let mut old = before.into_iter().flat_map(|before| &before.robots).peekable();
-        for RosterEntry { robot, superior, position, .. } in &after.robots {
+        for entry in &after.robots {
+            let RosterEntry { robot, superior, .. } = entry;
             while old.next_if(|entry| entry.robot < *robot).is_some() {}
             let known = old.peek().filter(|entry| entry.robot == *robot);
             match known {
                 None => {
                     self.joined.insert(robot.clone(), now);
                 }
-                // It has left and come back between the two: nothing that it reported before is known.
-                Some(entry) if entry.position.is_some() && position.is_none() => {
+                Some(last) if has_rejoined(last, entry) => {
                     have_rejoined = true;
                     self.joined.insert(robot.clone(), now);
                 }
@@ -98,7 +107,6 @@ mod tests {
     use crate::header::Header;
     use crate::header::Revision;
     use crate::id::FleetId;
-    use crate::roster::Presence;
 
     fn robot(name: &str) -> RobotId {
         RobotId::new(name).unwrap()
@@ -161,6 +169,21 @@ mod tests {
         orders.follow(at(20_100), Some(&circle), &roster("x"));
         assert_eq!(names(&orders, 20_100, &circle), "");
         assert!(orders.changed.is_empty() && orders.joined.is_empty());
+    }
+
+    #[test]
+    fn a_silent_robot_that_is_back_without_its_superior_has_no_new_orders() {
+        let [mut before, without, again] = ["a b<a", "a b", "a b<a"].map(roster);
+        for (presence, names) in [(Presence::Stale, ""), (Presence::Active, "b")] {
+            before.robots[1].presence = presence;
+            let mut orders = NewOrders::default();
+            orders.follow(at(0), None, &before);
+            assert_eq!(orders.follow(at(100), Some(&before), &without), names.is_empty());
+            orders.follow(at(200), Some(&without), &again);
+            let renewed = orders.renewed(at(200), Some(&again));
+            let renewed: Vec<&str> = renewed.into_iter().map(RobotId::as_str).collect();
+            assert_eq!(renewed.join(" "), names);
+        }
     }
 
     #[test]

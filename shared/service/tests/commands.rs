@@ -400,6 +400,47 @@ fn a_change_that_a_leader_of_a_lower_term_has_confirmed_holds_after_a_restart() 
     assert_eq!(standby.teams(), 5);
 }
 
+/// The operator asked all instances, and the next leader was too slow to look at it before it led.
+#[test]
+fn what_an_earlier_leader_has_refused_is_not_carried_out_by_the_next_one_from_a_late_copy() {
+    let mut old = Driven::<ONE_LEADS>::leading();
+    let problem = set(&mut old, "kim/c1", &json!({"teams": 0})).unwrap_err();
+    let refused = outcomes(&old)[0].clone();
+    let stored = Stored { term: old.stored.term, ..Stored::default() };
+    let mut next = Driven::<ONE_LEADS>::restarted(stored, Vec::new());
+    let term = next.status().revision.term;
+    for (header_term, repeats) in [(term + 1, false), (term - 1, true)] {
+        let mut said = CommandOutcome::clone(&refused);
+        said.header.revision.term = header_term;
+        next.receive(Message::Outcome(Arc::new(said)));
+        let answer = set(&mut next, "kim/c1", &json!({"teams": 0})).unwrap_err();
+        assert_eq!(answer, problem);
+        assert_eq!(next.counter("commands_again"), u64::from(repeats));
+        next = Driven::<ONE_LEADS>::restarted(
+            Stored { term: old.stored.term, ..Stored::default() },
+            Vec::new(),
+        );
+    }
+}
+
+/// Both changes have the revision of a leader that has published nothing.
+#[test]
+fn a_change_after_the_stored_one_holds_though_its_leader_has_published_nothing_in_between() {
+    let mut cut_off = Driven::<ONE_LEADS>::leading();
+    set(&mut cut_off, "kim/c1", &json!({"teams": 7})).unwrap();
+    let stored = Stored { term: cut_off.stored.term + 1, ..cut_off.stored.clone() };
+    assert_eq!(stored.commands.len(), 1);
+    cut_off.wait(1.0);
+    set(&mut cut_off, "kim/c2", &json!({"teams": 6})).unwrap();
+    let said = outcomes(&cut_off);
+    assert_eq!(said[0].header.revision, said[1].header.revision);
+    for (outcomes, teams) in [(&said[..1], 7), (&said[..], 6)] {
+        let answers = outcomes.iter().cloned().map(Message::Outcome).collect();
+        let new = Driven::<ONE_LEADS>::restarted(stored.clone(), answers);
+        assert_eq!((new.host.replica_state(), new.teams()), (ReplicaState::Leading, teams));
+    }
+}
+
 /// That it has led, and was killed, makes its settings no better.
 #[test]
 fn a_leader_that_knows_no_settings_of_the_fleet_announces_none_after_a_restart_either() {

@@ -8,8 +8,8 @@ use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
-use muster_model::roster::Roster;
-use muster_model::teams::Teams;
+use muster_model::roster::{Presence, Roster};
+use muster_model::teams::{Member, Teams};
 use muster_model::time::Tick;
 use muster_wire::Message;
 
@@ -87,7 +87,9 @@ impl Clusterer {
             }
             return;
         }
-        if self.orders.follow(context.now(), self.roster.as_deref(), &roster) {
+        if self.orders.follow(context.now(), self.roster.as_deref(), &roster)
+            || self.is_silent_team_back(&roster)
+        {
             self.arrivals.note_loss(context.now());
         }
         self.roster = Some(roster);
@@ -106,6 +108,23 @@ impl Clusterer {
             // Others may be able to fill needs than before.
             self.consider(context);
         }
+    }
+
+    /// Whether a robot is heard again of a team that was silent as a whole: its link is back, and until all of its robots have
+    /// repeated what they report, their vectors rest on what is new of some and old of others.
+    fn is_silent_team_back(&self, next: &Roster) -> bool {
+        let (Some(last), Some(division)) = (self.roster.as_deref(), &self.division) else {
+            return false;
+        };
+        let is_there = |roster: &Roster, member: &Member, presence: Presence| {
+            let place = roster.robots.binary_search_by(|entry| entry.robot.cmp(&member.robot));
+            place.is_ok_and(|place| roster.robots[place].presence == presence)
+        };
+        division.teams.iter().any(|team| {
+            let mut members = team.members.iter();
+            members.all(|member| is_there(last, member, Presence::Stale))
+                && team.members.iter().any(|member| is_there(next, member, Presence::Active))
+        })
     }
 
     /// Takes over the newest division of an earlier leader among messages, and the embedding that it

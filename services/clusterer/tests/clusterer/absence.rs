@@ -85,6 +85,80 @@ fn a_team_that_is_cut_off_moves_nobody_else_and_comes_back_as_what_it_was() {
     }
 }
 
+/// Neither a restart of everything nor a standby that takes over forgets a team that is absent.
+#[test]
+fn a_team_that_is_absent_keeps_its_seat_and_its_id_with_the_next_leader() {
+    let again = |embedding: &Checked<Embedding>, epoch| again(embedding, 2, epoch);
+    let range = TeamCount::Between { from: 2, to: 5 };
+    for wanted in [TeamCount::Fixed(3), TeamCount::Auto, range] {
+        for is_restart in [true, false] {
+            let (mut before, first) = divided(settings(wanted), &camps(1, ALL, &THREE));
+            assert_eq!(short(&first), WHOLE, "{wanted}");
+            let mut standby = Bench::new(settings(wanted));
+            standby.input(Input::Started { linked: true });
+            standby.receive(mirrored(&first));
+            for epoch in 2..20 {
+                before.wait(0.5);
+                before.receive_embedding(&camps(epoch, WITHOUT, &TWO));
+            }
+            let last = held(&mut before);
+            assert_eq!(short(&last), REST, "{wanted}");
+            standby.now = before.now;
+            standby.receive(mirrored(&last));
+            let kept = if is_restart { before.kept.clone() } else { standby.kept.clone() };
+            let mut next = Bench::new(settings(wanted));
+            next.input(Input::Restored(kept.unwrap()));
+            next.start(vec![]);
+            // What the others show without it is no evidence for the next leader either.
+            for (epoch, scores) in (2..).zip([&TWO, &THREE, &[0.6, 0.2, 0.1, 0.1]].repeat(30)) {
+                next.receive_embedding(&again(&camps(1, WITHOUT, scores), epoch));
+                next.wait(0.4);
+                assert_eq!(short(&held(&mut next)), REST, "{wanted}, restart: {is_restart}");
+            }
+            next.receive_embedding(&again(&camps(1, ALL, &THREE), 200));
+            next.wait(1.0);
+            assert_eq!(short(&held(&mut next)), WHOLE, "{wanted}, restart: {is_restart}");
+        }
+    }
+}
+
+/// It was cut off for a few seconds, too short for its robots to leave the fleet, but long enough for what they report of links to
+/// pass.
+#[test]
+fn a_team_that_was_silent_stays_as_it_is_until_all_of_its_robots_have_reported_again() {
+    let settings = ClustererSettings { dwell_s: 0.0, ..settings(TeamCount::Fixed(3)) };
+    let all = |mark: &str, robots: &str| {
+        let robots = robots.split_whitespace().map(|name| format!("{name}{mark}"));
+        robots.collect::<Vec<_>>().join(" ")
+    };
+    // The first one that is heard of it is elsewhere for a moment by what is known of the others.
+    let astray = |epoch| {
+        let mut embedding = Embedding::clone(&camps(epoch, ALL, &THREE));
+        let at = embedding.robots.iter().position(|name| name.as_str() == "z").unwrap();
+        embedding.values[2 * at..2 * at + 2].copy_from_slice(&[9.0, 0.0]);
+        Checked::new_unchecked(embedding)
+    };
+    for (mark, is_whole) in [("?", true), ("", false)] {
+        let (mut bench, first) = divided(settings.clone(), &camps(1, ALL, &THREE));
+        assert_eq!(short(&first), WHOLE);
+        let others = format!("{} {}", all("", WITHOUT), all(mark, "w x y"));
+        bench.receive_roster(roster(1, &format!("{others} z?")));
+        bench.wait(4.0);
+        bench.receive_roster(roster(2, &format!("{others} z")));
+        bench.receive_embedding(&astray(2));
+        let stays = short(&held(&mut bench)) == WHOLE;
+        assert_eq!(stays, is_whole, "{}", short(&held(&mut bench)));
+        if is_whole {
+            // What lasts is followed.
+            for epoch in 3..90 {
+                bench.wait(0.1);
+                bench.receive_embedding(&astray(epoch));
+            }
+            assert_ne!(short(&held(&mut bench)), WHOLE);
+        }
+    }
+}
+
 /// A link that comes back lets one robot through after the other, each as its program connects.
 #[test]
 fn the_first_robot_of_a_team_that_returns_waits_for_the_others_in_its_team() {

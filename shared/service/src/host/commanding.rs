@@ -108,6 +108,13 @@ impl<C: Core> Host<C> {
         }
         let facilities = &mut self.facilities;
         let term = facilities.replica.revision().term;
+        if outcome.refused.is_some() {
+            // The operator has that answer: a copy of the command that arrives late must not be carried out after it.
+            if outcome.header.revision.term <= term {
+                facilities.operator_commands.remember(outcome);
+            }
+            return;
+        }
         let Some(mut patch) = facilities.replica.settings.missed_by(&outcome, term) else { return };
         let time = CommandTime::of(&outcome);
         let is_of_before = outcome.header.revision.term < term;

@@ -26,6 +26,24 @@ pub(crate) fn confirmed_patch(outcome: &CommandOutcome) -> Option<Map<String, Va
     }
 }
 
+/// What tells which of two outcomes is the newer one. A leader that has published nothing carries out commands under one and the same
+/// revision, and its clock orders them.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct OutcomeMoment {
+    /// That of the last output of the leader then.
+    pub(crate) revision: Revision,
+    /// When it was confirmed, by the clock of that leader.
+    confirmed: Tick,
+}
+
+impl OutcomeMoment {
+    pub(crate) fn of(outcome: &CommandOutcome) -> Self {
+        let Header { revision, stages, .. } = &outcome.header;
+        let confirmed = stages.last().map(|stage| stage.published).unwrap_or_default();
+        Self { revision: *revision, confirmed }
+    }
+}
+
 /// What tells which of two commands came later.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CommandTime {
@@ -39,8 +57,7 @@ pub(crate) struct CommandTime {
 
 impl CommandTime {
     pub(crate) fn of(outcome: &CommandOutcome) -> Self {
-        let Header { revision, stages, .. } = &outcome.header;
-        let confirmed = stages.last().map(|stage| stage.published).unwrap_or_default();
+        let OutcomeMoment { revision, confirmed } = OutcomeMoment::of(outcome);
         Self { term: revision.term, confirmed, expires: outcome.expires }
     }
 

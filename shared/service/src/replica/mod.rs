@@ -23,6 +23,7 @@ use muster_wire::envelope::AnnouncedSettings;
 use muster_wire::{KeySpace, Message};
 
 use self::election::Election;
+use self::missed_changes::OutcomeMoment;
 use self::refusals::Refusals;
 use self::settings::ReplicaSettings;
 use crate::start::{Start, Stored};
@@ -62,7 +63,7 @@ impl<S: Settings> Replica<S> {
             format!("the stored term {kept} is above {highest}, so the file is damaged")
         });
         let revision = Revision { term: stored_term, epoch: 0 };
-        let stored = start.stored.commands.iter().map(|outcome| outcome.header.revision);
+        let stored = start.stored.commands.iter().map(|outcome| OutcomeMoment::of(outcome));
         let newest_outcome = stored.max().unwrap_or_default();
         let settings = if start.stored.lacks_settings { Revision::default() } else { revision };
         // What works for itself may store nothing for a long time.

@@ -13,7 +13,9 @@ use muster_wire::message::quoted;
 use serde_json::{Map, Value};
 
 use super::lease::RENEWAL_INTERVAL;
-use super::missed_changes::{ConfirmedBy, MissedChange, MissedChanges, confirmed_patch};
+use super::missed_changes::{
+    ConfirmedBy, MissedChange, MissedChanges, OutcomeMoment, confirmed_patch,
+};
 
 /// Largest patch of settings in bytes.
 const MAX_PATCH_BYTES: usize = MAX_SMALL_PAYLOAD;
@@ -66,7 +68,7 @@ pub(crate) struct ReplicaSettings<S> {
     basis: Revision,
     /// The newest outcome that was stored with the settings: what came of commands up to it is in them, though a standby
     /// does not know after a restart of which revision they are.
-    stored_with: Revision,
+    stored_with: OutcomeMoment,
     /// Whether the settings are those from the disk still. Which leaders they had followed is not known then: a change that
     /// is newer than all stored ones counts, even if a leader of a lower term has confirmed it, which was cut off and
     /// was the only one afterwards.
@@ -107,7 +109,7 @@ impl<S: Settings> ReplicaSettings<S> {
         base: S,
         patch: &Map<String, Value>,
         revision: Revision,
-        stored_with: Revision,
+        stored_with: OutcomeMoment,
     ) -> Self {
         let (current, dropped) = restore(&base, patch);
         let patch = difference(&base, &current);
@@ -176,7 +178,8 @@ impl<S: Settings> ReplicaSettings<S> {
     pub(crate) fn note_outcome(&mut self, outcome: &CommandOutcome, followed: Option<u64>) {
         let revision = outcome.header.revision;
         let is_of_followed = followed == Some(revision.term);
-        let is_new = revision >= self.known_since() && revision > self.stored_with;
+        let is_new =
+            revision >= self.known_since() && OutcomeMoment::of(outcome) > self.stored_with;
         if is_new || is_of_followed && revision.term < self.known_since().term {
             let confirmed_by =
                 if is_of_followed { ConfirmedBy::Followed } else { ConfirmedBy::Other };
@@ -186,7 +189,7 @@ impl<S: Settings> ReplicaSettings<S> {
 
     /// No change of a lower revision is missing in the settings.
     fn known_since(&self) -> Revision {
-        if self.are_from_disk { self.stored_with } else { self.adopted }
+        if self.are_from_disk { self.stored_with.revision } else { self.adopted }
     }
 
     /// The changes that were confirmed after the settings that this instance has, the oldest first; they are given once.
@@ -202,8 +205,9 @@ impl<S: Settings> ReplicaSettings<S> {
         term: u64,
     ) -> Option<Map<String, Value>> {
         let revision = outcome.header.revision;
-        let is_missed =
-            revision.term <= term && revision >= self.basis && revision > self.stored_with;
+        let is_missed = revision.term <= term
+            && revision >= self.basis
+            && OutcomeMoment::of(outcome) > self.stored_with;
         confirmed_patch(outcome).filter(|patch| is_missed && !has(&self.current, patch))
     }
 
