@@ -119,8 +119,7 @@ pub(crate) fn run(job: Job, stopwatch: &mut Stopwatch) -> Done {
     let Job { task, mut memory } = job;
     let result = match task {
         Task::Embed { frame, basis, previous, shape } => {
-            let is_first = previous.is_none() && memory.frames.robots().is_empty();
-            if let Some(shape) = shape.filter(|_| is_first) {
+            if let Some(shape) = shape {
                 let teams = (shape.teams > 0).then_some(shape.teams);
                 memory.frames.resume(teams, shape.rank as usize);
             }

@@ -166,6 +166,10 @@ impl Core for Embedder {
 
     fn on_lead(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
         let newest = newest_embedding(&answers);
+        if let Some(newest) = &newest {
+            self.shape.note(newest);
+        }
+        self.shape.lead();
         self.accept_answers(context, answers);
         self.embedding = newest;
     }
@@ -178,6 +182,7 @@ impl Core for Embedder {
     fn on_stand_down(&mut self, context: &mut Context<'_>) {
         self.questions.refuse("another instance has taken over; ask again", context);
         self.reasons.refuse("another instance has taken over; ask again", true, context);
+        self.shape.stand_down();
         *self = Self { shape: std::mem::take(&mut self.shape), ..Self::default() };
     }
 
@@ -521,7 +526,9 @@ impl Embedder {
         context.count("jobs_started");
         self.last_job = LastJob::Embedding;
         self.flight.started(basis.clone());
-        let (previous, shape) = (self.embedding.clone(), self.shape.newest());
+        let has_robots = !frame.robots.is_empty();
+        let shape = has_robots.then(|| self.shape.goes_on_from(context.now())).flatten();
+        let previous = self.embedding.clone();
         let memory = self.memory.take().unwrap_or_default();
         let basis = Box::new(basis);
         context

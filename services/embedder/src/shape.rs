@@ -19,10 +19,18 @@ const RETRY_TIME: Duration = Duration::from_secs(10);
 /// robots is megabytes, and the number seldom changes.
 const ASK_INTERVAL: Duration = Duration::from_secs(10);
 
+/// For how long a leader that begins goes on from what it has found, from the first robot on: robots connect again, and repeat their
+/// links and ranks, within it. By what a part of them shows another number may be clearly better, and be kept from then on.
+const GATHERING_TIME: Duration = Duration::from_secs(2);
+
 /// What is known, and what is on disk.
 #[derive(Debug, Default)]
 pub(crate) struct Shape {
     newest: Option<KeptShape>,
+    /// What was known as this instance began to lead, as long as it goes on from that.
+    found: Option<KeptShape>,
+    /// When it made its first embedding of robots since.
+    gathering_since: Option<Tick>,
     written: Option<KeptShape>,
     /// When the next write may begin, if anything has changed.
     next_write: Tick,
@@ -41,18 +49,33 @@ impl Shape {
         Ok(())
     }
 
-    /// An embedding was published, by this instance or its leader. One of no robots says nothing of the fleet.
+    /// An embedding was published, by this instance or its leader. One of no robots, or of those that came first, says nothing of the
+    /// fleet.
     pub(crate) fn note(&mut self, embedding: &Embedding) {
-        if embedding.robots.is_empty() {
+        if embedding.robots.is_empty() || self.found.is_some() {
             return;
         }
         let teams = embedding.quality.teams_shown.unwrap_or(0);
         self.newest = Some(KeptShape { teams, rank: embedding.dimension / 2 });
     }
 
-    /// What the first embedding of this process goes on from, if none is known on the bus.
-    pub(crate) fn newest(&self) -> Option<KeptShape> {
-        self.newest
+    /// This instance begins to lead.
+    pub(crate) fn lead(&mut self) {
+        (self.found, self.gathering_since) = (self.newest, None);
+    }
+
+    /// This instance leads no more.
+    pub(crate) fn stand_down(&mut self) {
+        self.found = None;
+    }
+
+    /// What an embedding of robots that begins now goes on from; none if from the last one.
+    pub(crate) fn goes_on_from(&mut self, now: Tick) -> Option<KeptShape> {
+        let since = *self.gathering_since.get_or_insert(now);
+        if now.since(since) >= GATHERING_TIME {
+            self.found = None;
+        }
+        self.found
     }
 
     /// When something is to be written.
@@ -84,5 +107,26 @@ impl Shape {
     /// The leader was asked.
     pub(crate) fn asked(&mut self, now: Tick) {
         self.asked = now;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_found_holds_until_the_robots_have_gathered() {
+        let at = |ms: u64| Tick(1_000_000).after(Duration::from_millis(ms));
+        let found = KeptShape { teams: 5, rank: 4 };
+        let mut shape = Shape::default();
+        shape.restore(&found.encode().unwrap()).unwrap();
+        assert_eq!(shape.goes_on_from(at(0)), None, "it follows");
+        shape.lead();
+        // However long it waits for the first robot.
+        for ms in [60_000, 61_000, 61_999] {
+            assert_eq!(shape.goes_on_from(at(ms)), Some(found));
+        }
+        assert_eq!(shape.goes_on_from(at(62_000)), None);
+        assert_eq!(shape.newest, Some(found));
     }
 }

@@ -120,7 +120,8 @@ impl Frames {
         let decomposition = if fused.is_zero() {
             of_no_edges(fused.nodes(), params)?
         } else {
-            let rank = previous.map(|embedding| embedding.dimension as usize / 2).or(self.rank);
+            let last = || previous.map(|embedding| embedding.dimension as usize / 2);
+            let rank = self.rank.or_else(last);
             let cut = Cut::new(params, &fused, rank);
             let counted = Counted {
                 relations: &relations,
@@ -159,7 +160,7 @@ impl Frames {
         self.teams = teams;
     }
 
-    /// The first frame goes on from one of which the vectors are lost, with so many teams and triplets: both are kept unless
+    /// The next frame goes on from one of which the vectors are lost, with so many teams and triplets: both are kept unless
     /// others are clearly better.
     pub fn resume(&mut self, teams: Option<u32>, rank: usize) {
         (self.teams, self.rank) = (teams, Some(rank));

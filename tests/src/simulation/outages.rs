@@ -55,7 +55,7 @@ impl Standing {
 }
 
 impl World {
-    /// All agree again: on the same as before.
+    /// All have agreed again for a while: on the same as before.
     pub(super) fn check_standing(&mut self) {
         if let Some(Standing { agreed, promise }) = self.stands.take() {
             let stood = match promise {

@@ -63,6 +63,9 @@ const LONG_RUN_EVERY: u64 = 8;
 /// How long such a run continues: longer than the longest interval at which a service asks again.
 const LONG_RUN_TIME: Micros = 12 * SECOND;
 
+/// How long all must have agreed until what was promised of an outage has held: what waits to be published has been by then.
+const STANDING_TIME: Micros = 6 * SECOND;
+
 /// In one run of so many, some hosts of services have a clock that is off by years.
 const WRONG_CLOCKS_EVERY: u64 = 6;
 
@@ -643,11 +646,15 @@ impl World {
             (Ok(now), None) => {
                 self.log.line(self.now, format_args!("all agree"));
                 self.joins_late = now.has_robots();
-                self.check_standing();
                 self.settled = Some((since, now));
             }
             (Ok(now), Some((at, before))) => match self.oracle.unchanged(&before) {
-                Ok(()) => self.settled = Some((at, before)),
+                Ok(()) => {
+                    if since >= at + STANDING_TIME {
+                        self.check_standing();
+                    }
+                    self.settled = Some((at, before));
+                }
                 Err(_) if since <= limit => self.settled = Some((since, now)),
                 // The seat of a team that is absent may end, and its place may be filled.
                 Err(_) if self.may_fill_seats(&before) && since <= SEATS_TIME => {
