@@ -48,8 +48,8 @@ fn near_tie() -> (f64, KeptShape, Vec<u8>) {
         bench.frame(&mut ingest);
         let shown = shape(bench.last());
         if of_fresh(tie).teams != shown.teams {
-            // What has changed is written at most twice a second.
-            bench.wait(1.0);
+            // What has changed is written at most twice a second. After a second it would be at rest.
+            bench.wait(0.6);
             return (tie, shown, bench.kept.clone().unwrap());
         }
     }
@@ -63,6 +63,22 @@ fn the_number_that_was_kept_from_frame_to_frame_stands_after_a_restart_of_everyt
     let mut bench = Bench::restarted(EmbedderSettings::default(), kept);
     bench.frame(&mut fleet(tie));
     assert_eq!(shape(bench.last()), shown);
+}
+
+/// So that it shows the same after a restart, and as robots that were cut off are back.
+#[test]
+fn a_fleet_at_rest_shows_the_same_however_it_came_there() {
+    let (tie, shown, kept) = near_tie();
+    let mut bench = Bench::restarted(EmbedderSettings::default(), kept);
+    bench.frame(&mut fleet(tie));
+    assert_eq!(shape(bench.last()), shown);
+    let mut fresh = Bench::fresh();
+    fresh.frame(&mut fleet(tie));
+    for bench in [&mut bench, &mut fresh] {
+        bench.wait(1.5);
+    }
+    assert_eq!(shape(bench.last()), shape(fresh.last()));
+    assert_ne!(shape(bench.last()), shown);
 }
 
 #[test]

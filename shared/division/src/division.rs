@@ -119,8 +119,7 @@ pub fn divide(job: &Job) -> Result<Teams, DivisionError> {
         return limited::divide(job, rules);
     }
     let embedding = &*job.embedding;
-    let (robots, dimension) = (embedding.robots.len(), embedding.dimension as usize);
-    let x = DenseMatrix::new(robots, dimension, embedding.values.clone())?;
+    let x = vectors(embedding)?;
     let found = cluster(&x, job)?;
     assemble(job, &x, &found, |_, members, unassigned| {
         Ok(identity::name(members, unassigned, job.previous.as_deref(), &job.memory)?)
@@ -178,6 +177,16 @@ pub(crate) fn assemble(
     })
 }
 
+/// Steps of vectors for one unit of length. Robots that all relations place alike differ in the last bits by how the singular vectors were
+/// computed, and are in the same place.
+const STEPS: f64 = (1_u64 << 40) as f64;
+
+/// The vectors of the robots as rows, N × D, without what is rounding.
+pub(crate) fn vectors(embedding: &Embedding) -> Result<DenseMatrix, MatrixError> {
+    let values = embedding.values.iter().map(|value| (value * STEPS).round() / STEPS).collect();
+    DenseMatrix::new(embedding.robots.len(), embedding.dimension as usize, values)
+}
+
 /// The numbers of teams that the settings allow, with the evidence of the embedding.
 fn considered(settings: &ClustererSettings, embedding: &Embedding) -> Vec<TeamCountScore> {
     if settings.teams.fixed().is_some() {
@@ -199,7 +208,7 @@ pub fn with_held(
     rules: Option<&TeamRules>,
     embedding: &Embedding,
 ) -> Result<Teams, DivisionError> {
-    let (robots, dimension) = (&embedding.robots, embedding.dimension as usize);
+    let robots = &embedding.robots;
     let number_of: BTreeMap<&TeamId, usize> =
         new.teams.iter().enumerate().map(|(number, team)| (&team.id, number)).collect();
     let mut labels = vec![None; robots.len()];
@@ -208,7 +217,7 @@ pub fn with_held(
             labels[row] = number_of.get(held.get(robot).unwrap_or(team)).copied();
         }
     }
-    let x = DenseMatrix::new(robots.len(), dimension, embedding.values.clone())?;
+    let x = vectors(embedding)?;
     let centroids = means(&x, &labels, new.teams.len())?;
     let inertia = inertia(&x, &labels, &centroids);
     let found = Division { labels, centroids, inertia, iterations: 0, converged: true };

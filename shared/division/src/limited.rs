@@ -18,7 +18,7 @@ use muster_numeric::assignment::{
 use muster_numeric::kmeans::LimitedKMeansError;
 use muster_numeric::matrix::DenseMatrix;
 
-use crate::division::{DivisionError, Job, assemble, changes as changes_since};
+use crate::division::{DivisionError, Job, assemble, changes as changes_since, vectors};
 use crate::identity;
 use crate::rules::TeamRules;
 use crate::seats::last_of;
@@ -39,6 +39,10 @@ const EXCHANGE_SHARE: f64 = 0.5;
 pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
     let mut found = divide_from(job, rules)?;
     let first = job.previous.as_deref();
+    // Wishes for a team that is new, or lives again, count from the next division on: it keeps a robot of before until then.
+    let lives = |id: &TeamId| first.is_some_and(|first| first.teams.iter().any(|t| t.id == *id));
+    let new = found.teams.iter().map(|team| &team.id).filter(|id| !lives(id));
+    let Some(rules) = rules.without_wishes_for(new) else { return Ok(found) };
     let mut earlier: Vec<Teams> = Vec::new();
     for _ in 1..MAX_PASSES {
         let is_kept_by_all = first.is_some_and(|first| is_kept(first, &found));
@@ -164,8 +168,7 @@ fn divide_once(job: &Job, rules: &TeamRules, search: Search) -> Result<Teams, Di
         }
     }
     revive(job, rules, &all, stands, &mut ids);
-    let dimension = embedding.dimension as usize;
-    let x = DenseMatrix::new(all.len(), dimension, embedding.values.clone())?;
+    let x = vectors(embedding)?;
     let centroids = crate::division::means(&x, &all, ids.len())?;
     let inertia = crate::division::inertia(&x, &all, &centroids);
     let found = Division { labels: all, centroids, inertia, iterations: 0, converged: true };
@@ -234,7 +237,7 @@ pub(crate) fn judge(
     }
     let columns: Vec<TeamId> = teams.teams.iter().map(|team| team.id.clone()).collect();
     let dimension = embedding.dimension as usize;
-    let x = rows_of(&embedding.values, dimension, &rows)?;
+    let x = rows_of(&vectors(embedding)?, &rows)?;
     let centroids = teams.teams.iter().flat_map(|team| team.centroid.iter().copied()).collect();
     let centroids = DenseMatrix::new(columns.len(), dimension, centroids)?;
     let robots: Vec<&RobotId> = rows.iter().map(|row| &embedding.robots[*row]).collect();
@@ -348,7 +351,7 @@ impl<'a> Problem<'a> {
         let place = |id: &Option<&TeamId>| Some(Column::Team(*place_of.get((*id)?)?));
         let previous = last.iter().map(place).collect();
         let columns = columns.into_iter().map(|column| column.team).collect();
-        let x = rows_of(&embedding.values, embedding.dimension as usize, rows)?;
+        let x = rows_of(&vectors(embedding)?, rows)?;
         Ok(Self { rules, robots, x, columns, previous })
     }
 

@@ -116,6 +116,17 @@ impl TeamRules {
         Self { needs, ..self.clone() }
     }
 
+    /// The rules without the wishes that name some teams; none if limits or needs name one.
+    pub(crate) fn without_wishes_for<'a>(
+        &self,
+        mut teams: impl Iterator<Item = &'a TeamId>,
+    ) -> Option<Self> {
+        teams.try_fold(self.clone(), |mut rules, team| {
+            rules.wishes.retain(|asked| asked.wish.team.as_ref() != Some(team));
+            (!rules.names(team)).then_some(rules)
+        })
+    }
+
     /// Whether other rules ask for the same, whichever robots can fill needs.
     pub fn asks_as(&self, other: &Self) -> bool {
         self.needs.asks_as(&other.needs) && *self == other.with_needs(self.needs.clone())

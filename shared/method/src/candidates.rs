@@ -21,7 +21,7 @@ use crate::error::MethodError;
 use crate::params::{DivisionParams, EmbeddingParams, Pace};
 use crate::team_count::{RESOLUTION, TeamEvidence, choose, gaps, scores};
 
-/// Starts of k-means for a division that no frame before has: the fewer robots, the more.
+/// Starts of k-means for a division that no frame before has, and for one of a fleet at rest: the fewer robots, the more.
 const FIRST_STARTS: RangeInclusive<usize> = 4..=50;
 
 /// Robots times teams times columns, for all starts of such a division: a fifth of [`WORK_AT_ONCE`]. Two processes that begin on
@@ -126,7 +126,9 @@ impl Candidates {
         let gaps = gaps(svd.singular_values(), frame.alpha);
         let mut scores = scores(linked, &modularity, &gaps);
         scores.truncate(most as usize);
-        Ok(TeamEvidence { teams: choose(&scores, range, frame.previous), scores })
+        // What a fleet at rest shows does not depend on how it came there: it shows the same after a restart.
+        let kept = frame.previous.filter(|_| frame.params.pace == Pace::Moving);
+        Ok(TeamEvidence { teams: choose(&scores, range, kept), scores })
     }
 
     /// The numbers whose divisions are made in this frame: all, or those near the number before and some others
@@ -168,8 +170,13 @@ impl Candidates {
         };
         let embedded = embed_powers(&svd.leading(rank.clamp(1, most))?, params.power, params.rows);
         let before = self.known.get(&teams).map(|known| &known.labels[..]);
+        let is_moving = params.pace == Pace::Moving;
+        let starts = match before {
+            Some(_) if is_moving => LATER_STARTS,
+            _ => first_starts(svd.nodes(), teams),
+        };
         let division = DivisionParams {
-            restarts: before.map_or_else(|| first_starts(svd.nodes(), teams), |_| LATER_STARTS),
+            restarts: starts,
             seed: params.seed,
             hysteresis: 0.0,
             ..DivisionParams::new(&ClustererSettings::default(), teams as usize)

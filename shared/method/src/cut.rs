@@ -10,7 +10,7 @@ use muster_numeric::dimension::{Choice, Spectrum, choose_covering_dimension, lea
 use muster_numeric::matrix::SparseMatrix;
 use muster_numeric::svd::FullSvd;
 
-use crate::params::EmbeddingParams;
+use crate::params::{EmbeddingParams, Pace};
 
 /// Where the triplets are cut off.
 #[derive(Debug, Clone)]
@@ -18,6 +18,8 @@ pub(crate) struct Cut {
     count: TeamCount,
     /// K of the frame before.
     previous: Option<usize>,
+    /// Whether that K is kept where another one is hardly better. A fleet at rest has the same K however it came there.
+    keeps: bool,
     rank: Rank,
 }
 
@@ -46,7 +48,7 @@ impl Cut {
             Dimension::Fixed(dimension) => Rank::Fixed(dimension as usize / 2),
             Dimension::Auto => Rank::Rule { related: fused.related(), most: params.max_rank },
         };
-        Self { count: params.teams, previous, rank }
+        Self { count: params.teams, previous, keeps: params.pace == Pace::Moving, rank }
     }
 
     /// K where all triplets are known.
@@ -109,7 +111,8 @@ impl Cut {
         match &self.rank {
             Rank::Fixed(rank) => Choice { dimension: (*rank).clamp(1, nodes), short: false },
             Rank::Rule { related, most } => {
-                let choice = choose_covering_dimension(svd, related, teams as usize, self.previous);
+                let kept = self.previous.filter(|_| self.keeps);
+                let choice = choose_covering_dimension(svd, related, teams as usize, kept);
                 Choice { dimension: choice.dimension.min(*most).clamp(1, nodes), ..choice }
             }
         }

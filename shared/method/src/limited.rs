@@ -366,14 +366,13 @@ fn costs(
 /// The rows of some robots.
 ///
 /// # Errors
-/// [`MatrixError`] if a value is none.
-pub fn rows_of(
-    values: &[f64],
-    dimension: usize,
-    rows: &[usize],
-) -> Result<DenseMatrix, MatrixError> {
-    let row = |row: &usize| &values[row * dimension..(row + 1) * dimension];
-    DenseMatrix::new(rows.len(), dimension, rows.iter().flat_map(row).copied().collect())
+/// [`MatrixError`], never for rows of a matrix.
+///
+/// # Panics
+/// If there is no such row.
+pub fn rows_of(x: &DenseMatrix, rows: &[usize]) -> Result<DenseMatrix, MatrixError> {
+    let values = rows.iter().flat_map(|row| x.row(*row)).copied().collect();
+    DenseMatrix::new(rows.len(), x.cols(), values)
 }
 
 #[cfg(test)]

@@ -63,7 +63,7 @@ impl<S: Settings> Replica<S> {
             format!("the stored term {kept} is above {highest}, so the file is damaged")
         });
         let revision = Revision { term: stored_term, epoch: 0 };
-        let stored = start.stored.commands.iter().map(|outcome| OutcomeMoment::of(outcome));
+        let stored = start.stored.commands.iter().map(OutcomeMoment::of);
         let newest_outcome = stored.max().unwrap_or_default();
         let settings = if start.stored.lacks_settings { Revision::default() } else { revision };
         // What works for itself may store nothing for a long time.
