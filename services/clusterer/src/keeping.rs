@@ -237,7 +237,7 @@ impl Keeping {
                 // After a restart the term tells whether the embedder has lived on.
                 newest.embedding.term != written.embedding.term
                     || !same_teams(newest, written)
-                    || self.memory.has_robots() && newest.held != written.held
+                    || self.memory.robots().next().is_some() && newest.held != written.held
                     || newest.limited.as_ref().is_some_and(Limited::stands)
                         != written.limited.as_ref().is_some_and(Limited::stands)
                     || !self.memory.remembers_as(&self.written_memory)

@@ -77,10 +77,9 @@ impl Memory {
             })
     }
 
-    /// Whether robots are remembered that have left, or have no team.
-    #[must_use]
-    pub fn has_robots(&self) -> bool {
-        !self.last.is_empty()
+    /// The robots that are remembered: they have left, or have no team.
+    pub fn robots(&self) -> impl Iterator<Item = &RobotId> {
+        self.last.keys()
     }
 
     /// One division follows another.
@@ -234,7 +233,7 @@ mod tests {
     fn the_next_process_remembers_the_same_from_its_start_on() {
         let before = memory(3, &[2, 3]);
         let after = Memory::of(&before.remembered(), Tick(5_000_000_000));
-        assert!(after.remembers_as(&before) && after.has_robots());
+        assert!(after.remembers_as(&before) && after.robots().count() == 3);
         assert!(before.is_overdue(Tick(4000).after(TEAM_MEMORY_TIME)));
         assert!(!after.is_overdue(Tick(4_999_999_999).after(TEAM_MEMORY_TIME)));
         assert!(after.is_overdue(Tick(5_000_000_000).after(TEAM_MEMORY_TIME)));

@@ -200,6 +200,8 @@ pub struct Arrivals {
     returned: Option<Tick>,
     /// When the last period of losses began.
     lost: Option<Tick>,
+    /// When the last period began in which robots are heard again.
+    heard: Option<Tick>,
     /// Whether a whole team was absent when it was last looked at.
     is_team_absent: bool,
     /// When that was last the case no more.
@@ -209,15 +211,25 @@ pub struct Arrivals {
 impl Arrivals {
     /// Robots have left, whether they are back or not: others may follow. At least as much time passes before the next such period.
     pub fn note_loss(&mut self, now: Tick) {
-        if self.losses_show_until().is_none_or(|end| now >= end) {
+        if self.ends_showing().is_none_or(|end| now >= end) {
             self.lost = Some(now);
         }
     }
 
-    /// Whether a team has returned of which more robots may follow, or robots have left that others may follow.
+    /// Robots are heard again of a team that was silent, or that had left: others may follow, and until all have reported again,
+    /// their vectors rest on what is new of some and old of others. At least as much time passes before the next such period.
+    pub fn note_heard_again(&mut self, now: Tick) {
+        if self.heard.is_none_or(|heard| now >= heard.after(2 * SETTLE_TIME)) {
+            self.heard = Some(now);
+        }
+    }
+
+    /// Whether a team has returned, or is heard again, of which more robots may follow, or robots have left that others may follow.
     #[must_use]
     pub fn is_unsettled(&self, now: Tick) -> bool {
-        settles(self.returned, now) || self.lost.is_some_and(|lost| now.since(lost) < LOSS_TIME)
+        settles(self.returned, now)
+            || settles(self.heard, now)
+            || self.lost.is_some_and(|lost| now.since(lost) < LOSS_TIME)
     }
 
     /// Whether no team is absent any more since less than `time` ago: the last one that was has returned, or is forgotten.
@@ -226,16 +238,23 @@ impl Arrivals {
         self.absence_ended.is_some_and(|ended| now.since(ended) < time)
     }
 
-    /// Until when moves that begin are taken for a consequence of losses; none if no robots have left.
+    /// Until when moves that begin are taken for a consequence of losses, or of the return of robots; none if no robots have left.
     #[must_use]
     pub fn losses_show_until(&self) -> Option<Tick> {
+        let heard = self.heard.map(|heard| heard.after(2 * SETTLE_TIME));
+        self.ends_showing().max(heard)
+    }
+
+    /// When the consequences of the last losses no longer show.
+    fn ends_showing(&self) -> Option<Tick> {
         Some(self.lost?.after(LOSS_SHOWS_TIME))
     }
 
     /// When robots that may follow those that returned or left last are no longer waited for; empty if there are none.
     pub fn settled_at(&self) -> impl Iterator<Item = Tick> {
-        let returned = self.returned.map(|returned| returned.after(SETTLE_TIME));
-        returned.into_iter().chain(self.lost.map(|lost| lost.after(LOSS_TIME)))
+        let settled = [self.returned, self.heard].into_iter().flatten();
+        let settled = settled.map(|at| at.after(SETTLE_TIME));
+        settled.chain(self.lost.map(|lost| lost.after(LOSS_TIME)))
     }
 }
 

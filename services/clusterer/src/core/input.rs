@@ -8,8 +8,9 @@ use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
+use muster_model::id::RobotId;
 use muster_model::roster::{Presence, Roster};
-use muster_model::teams::{Member, Teams};
+use muster_model::teams::{Team, Teams};
 use muster_model::time::Tick;
 use muster_wire::Message;
 
@@ -87,10 +88,11 @@ impl Clusterer {
             }
             return;
         }
-        if self.orders.follow(context.now(), self.roster.as_deref(), &roster)
-            || self.is_silent_team_back(&roster)
-        {
+        if self.orders.follow(context.now(), self.roster.as_deref(), &roster) {
             self.arrivals.note_loss(context.now());
+        }
+        if self.are_heard_again(&roster) {
+            self.arrivals.note_heard_again(context.now());
         }
         self.roster = Some(roster);
         // Robots became stale, left, or have other superiors: the same labels are republished.
@@ -110,21 +112,23 @@ impl Clusterer {
         }
     }
 
-    /// Whether a robot is heard again of a team that was silent as a whole: its link is back, and until all of its robots have
-    /// repeated what they report, their vectors rest on what is new of some and old of others.
-    fn is_silent_team_back(&self, next: &Roster) -> bool {
+    /// Whether a robot is heard again that had left, or whose whole team was silent: its link is back.
+    fn are_heard_again(&self, next: &Roster) -> bool {
         let (Some(last), Some(division)) = (self.roster.as_deref(), &self.division) else {
             return false;
         };
-        let is_there = |roster: &Roster, member: &Member, presence: Presence| {
-            let place = roster.robots.binary_search_by(|entry| entry.robot.cmp(&member.robot));
-            place.is_ok_and(|place| roster.robots[place].presence == presence)
+        let presence = |roster: &Roster, robot: &RobotId| {
+            let place = roster.robots.binary_search_by(|entry| entry.robot.cmp(robot));
+            place.ok().map(|place| roster.robots[place].presence)
         };
-        division.teams.iter().any(|team| {
+        let is_active = |robot| presence(next, robot) == Some(Presence::Active);
+        let is_silent = |team: &&Team| {
             let mut members = team.members.iter();
-            members.all(|member| is_there(last, member, Presence::Stale))
-                && team.members.iter().any(|member| is_there(next, member, Presence::Active))
-        })
+            members.all(|member| presence(last, &member.robot) == Some(Presence::Stale))
+        };
+        let silent = division.teams.iter().filter(is_silent).flat_map(|team| &team.members);
+        let mut back = self.memory.robots().filter(|robot| presence(last, robot).is_none());
+        back.any(is_active) || silent.map(|member| &member.robot).any(is_active)
     }
 
     /// Takes over the newest division of an earlier leader among messages, and the embedding that it
@@ -179,7 +183,7 @@ impl Clusterer {
         if let Some(division) = &self.division {
             self.memory = self.keeping.memory_at(now, division);
             self.vacancies = Vacancies::of(division, &self.memory);
-            if self.memory.has_robots() {
+            if self.memory.robots().next().is_some() {
                 self.moves = MoveDwell::resumed(now, &division.held);
                 // How long ago they left is not known: others may follow.
                 self.arrivals.note_loss(now);
