@@ -19,6 +19,7 @@ use muster_numeric::matrix::{DenseMatrix, MatrixError};
 
 use crate::identity::{self, Memory, Named};
 use crate::limited;
+use crate::passes::until_it_stays;
 use crate::rules::TeamRules;
 use crate::seats::last_teams;
 
@@ -45,6 +46,14 @@ pub struct Job {
     pub previous: Option<Checked<Teams>>,
     /// Teams that robots had before that.
     pub memory: Arc<Memory>,
+}
+
+impl Job {
+    /// The number of the first team that is new.
+    pub(crate) fn next_team(&self) -> u64 {
+        let next = self.previous.as_deref().map_or(1, |previous| previous.next_team);
+        next.max(self.memory.next_team)
+    }
 }
 
 /// Which robots stay in their last team, whatever their vectors are.
@@ -118,8 +127,21 @@ pub fn divide(job: &Job) -> Result<Teams, DivisionError> {
     if let Some(rules) = &job.rules {
         return limited::divide(job, rules);
     }
-    let embedding = &*job.embedding;
-    let x = vectors(embedding)?;
+    let found = divide_freely(job)?;
+    if job.staying != Staying::KeepingTeams {
+        return Ok(found);
+    }
+    // Robots that would have divided a team stay with the others, and may then be elsewhere by what is around them.
+    Ok(until_it_stays(job.previous.as_deref(), job.next_team(), found, |found| {
+        let same_number = found.teams.len() == job.teams as usize;
+        let previous = Some(Checked::new_unchecked(found.clone()));
+        divide_freely(&Job { previous, same_number, ..job.clone() }).ok()
+    }))
+}
+
+/// One division from the last one, without rules.
+fn divide_freely(job: &Job) -> Result<Teams, DivisionError> {
+    let x = vectors(&job.embedding)?;
     let found = cluster(&x, job)?;
     assemble(job, &x, &found, |_, members, unassigned| {
         Ok(identity::name(members, unassigned, job.previous.as_deref(), &job.memory)?)

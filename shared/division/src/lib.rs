@@ -2,7 +2,7 @@
 //!
 //! Read in the order of the data's path: [`division::Job`] is one embedding to divide, and [`division::divide`] does it:
 //! k-means on the rows, started from the teams before. [`rules`] is what limits, wishes and [`needs`] ask of a division,
-//! `limited` the division under them, `words` why they cannot be obeyed; [`number`] says how many teams there are to be;
+//! `limited` the division under them, `passes` divides again until nothing changes, `words` why they cannot be obeyed; [`number`] says how many teams there are to be;
 //! [`identity`] gives each cluster a team id that lives on, and names what changed, with the help of [`memory`], which
 //! robot was in which team lately; [`seats`] keeps the places of teams that are absent; [`wishes`] says what has become of each
 //! wish; [`scores`] has the silhouettes.
@@ -18,6 +18,7 @@ mod limited;
 pub mod memory;
 pub mod needs;
 pub mod number;
+mod passes;
 pub mod rules;
 pub mod scores;
 pub mod seats;

@@ -18,14 +18,11 @@ use muster_numeric::assignment::{
 use muster_numeric::kmeans::LimitedKMeansError;
 use muster_numeric::matrix::DenseMatrix;
 
-use crate::division::{DivisionError, Job, assemble, changes as changes_since, vectors};
+use crate::division::{DivisionError, Job, assemble, vectors};
 use crate::identity;
+use crate::passes::{has_same_teams, until_it_stays};
 use crate::rules::TeamRules;
 use crate::seats::last_of;
-
-/// How many divisions are made at most, each from the one before, and only where that has changed something. Each costs as much
-/// as the first.
-const MAX_PASSES: usize = 8;
 
 /// Two teams exchange most of their robots only where the sum of squared distances becomes this share of what it was, or less.
 const EXCHANGE_SHARE: f64 = 0.5;
@@ -33,52 +30,21 @@ const EXCHANGE_SHARE: f64 = 0.5;
 /// Divides the robots that have a non-zero embedding. While nothing satisfies the rules the last division stands.
 ///
 /// Teams do not swap their ids for a few robots, so that what is found depends on where robots were: from what was found
-/// something better may be found that was out of reach before. So it is divided again until nothing changes any more. Where a
-/// division comes back, the best one since is taken, so that it does not depend on where that began: the same vectors that are divided
-/// another time, such as after a restart, change nothing.
+/// something better may be found that was out of reach before. So it is divided again until nothing changes any more.
 pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
-    let mut found = divide_from(job, rules)?;
+    let found = divide_from(job, rules)?;
     let first = job.previous.as_deref();
-    // Wishes for a team that is new, or lives again, count from the next division on: it keeps a robot of before until then.
+    // Wishes that would change a team that is new, or lives again, count from the next division on: it keeps a robot of before until
+    // then.
     let lives = |id: &TeamId| first.is_some_and(|first| first.teams.iter().any(|t| t.id == *id));
     let new = found.teams.iter().map(|team| &team.id).filter(|id| !lives(id));
-    let Some(rules) = rules.without_wishes_for(new) else { return Ok(found) };
-    let mut earlier: Vec<Teams> = Vec::new();
-    for _ in 1..MAX_PASSES {
-        let is_kept_by_all = first.is_some_and(|first| is_kept(first, &found));
-        if is_kept_by_all || found.limited.as_ref().is_some_and(Limited::stands) {
-            break;
-        }
+    let Some(rules) = rules.without_new_wishes(&new.collect(), &found) else { return Ok(found) };
+    Ok(until_it_stays(first, job.next_team(), found, |found| {
         let again = Job { previous: Some(Checked::new_unchecked(found.clone())), ..job.clone() };
-        let rules = rules.clone().resolved(Some(&found), &job.memory, &job.embedding);
+        let rules = rules.clone().resolved(Some(found), &job.memory, &job.embedding);
         // A search may end before it finds anything; what was found stands.
-        let Ok(next) = divide_from(&again, &rules) else { break };
-        if !has_same_teams(&found, &next) {
-            break;
-        }
-        if is_kept(&found, &next) {
-            found.limited = next.limited;
-            break;
-        }
-        let next = Teams { changes: found.changes.clone(), ..next };
-        let next = Teams { changes: changes_since(&next, first), ..next };
-        earlier.push(std::mem::replace(&mut found, next));
-        if let Some(at) = earlier.iter().position(|before| is_kept(before, &found)) {
-            let circle = earlier.into_iter().skip(at);
-            let order = |left: &Teams, right: &Teams| {
-                let members = |teams: &'_ Teams| -> Vec<Vec<RobotId>> {
-                    let robots =
-                        |team: &Team| team.members.iter().map(|m| m.robot.clone()).collect();
-                    teams.teams.iter().map(robots).collect()
-                };
-                left.inertia
-                    .total_cmp(&right.inertia)
-                    .then_with(|| members(left).cmp(&members(right)))
-            };
-            return Ok(circle.min_by(order).unwrap_or(found));
-        }
-    }
-    Ok(found)
+        divide_from(&again, &rules).ok()
+    }))
 }
 
 /// One division, from the last one: the best one, or else, where two teams would exchange their robots for little, the best one that
@@ -112,20 +78,6 @@ fn is_sound(rules: &TeamRules, last: &Teams, found: &Teams) -> bool {
         && found.assignments().all(|(robot, _)| placed.contains_key(robot))
         && last.teams.iter().all(admits)
         && rules.grants_groups(&placed)
-}
-
-/// Whether two divisions have teams with the same ids.
-fn has_same_teams(left: &Teams, right: &Teams) -> bool {
-    let ids = |teams: &'_ Teams| -> Vec<TeamId> {
-        teams.teams.iter().map(|team| team.id.clone()).collect()
-    };
-    ids(left) == ids(right)
-}
-
-/// Whether every robot of a division was in its team before.
-fn is_kept(before: &Teams, now: &Teams) -> bool {
-    let team_of: BTreeMap<&RobotId, &TeamId> = before.assignments().collect();
-    now.assignments().all(|(robot, team)| team_of.get(robot) == Some(&team))
 }
 
 /// Whether no two teams exchange their ids, at once or bit by bit: of more than two robots fewer went from one to the other

@@ -116,15 +116,30 @@ impl TeamRules {
         Self { needs, ..self.clone() }
     }
 
-    /// The rules without the wishes that name some teams; none if limits or needs name one.
-    pub(crate) fn without_wishes_for<'a>(
+    /// The rules without the wishes for some teams that a division does not grant; none if limits or needs name one of the teams.
+    pub(crate) fn without_new_wishes(
         &self,
-        mut teams: impl Iterator<Item = &'a TeamId>,
+        teams: &BTreeSet<&TeamId>,
+        found: &Teams,
     ) -> Option<Self> {
-        teams.try_fold(self.clone(), |mut rules, team| {
-            rules.wishes.retain(|asked| asked.wish.team.as_ref() != Some(team));
-            (!rules.names(team)).then_some(rules)
-        })
+        if teams.iter().any(|team| self.of_team.contains_key(*team) || self.needs.name(team)) {
+            return None;
+        }
+        let placed: BTreeMap<&RobotId, &TeamId> = found.assignments().collect();
+        let counts = |asked: &Asked| {
+            let Some(team) = asked.wish.team.as_ref().filter(|team| teams.contains(team)) else {
+                return true;
+            };
+            let mut places = asked.wish.robots.iter().map(|robot| placed.get(robot) == Some(&team));
+            match asked.wish.kind {
+                WishKind::Pin => places.all(|is_there| is_there),
+                WishKind::Ban => places.all(|is_there| !is_there),
+                _ => true,
+            }
+        };
+        let mut rules = self.clone();
+        rules.wishes.retain(counts);
+        Some(rules)
     }
 
     /// Whether other rules ask for the same, whichever robots can fill needs.
