@@ -53,7 +53,7 @@ await run(async () => {
     step("search, selection and reasons");
     const robots = await page.evaluate(() => window.muster.state.robots.map((one) => one.robot));
     await page.locator("#search").fill(robots[0]);
-    await page.locator("ul.robots button").first().click();
+    await page.locator("ul.robots button", { hasText: robots[0] }).first().click();
     await page.locator("#drawer").waitFor();
     await page.locator("#why").waitFor();
     assert.ok((await page.locator("#why").textContent()).includes(robots[0]));
@@ -63,7 +63,8 @@ await run(async () => {
     step("a name of 64 characters");
     const long = robots.find((robot) => robot.length === 64);
     await page.locator("#search").fill(long);
-    await page.locator("ul.robots button").first().click();
+    // The list may still be that of before the search.
+    await page.locator("ul.robots button", { hasText: long }).first().click();
     await until(page, (name) => document.getElementById("drawer-title")?.textContent === name, long);
     const fits = await page.evaluate(() => document.documentElement.scrollWidth <= document.documentElement.clientWidth);
     assert.ok(fits, "the page is wider than its window");
