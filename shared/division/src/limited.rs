@@ -391,8 +391,8 @@ impl<'a> Problem<'a> {
     fn stand(self, job: &Job, conflict: String) -> Result<Solved, DivisionError> {
         let relaxed = |stay: &[Option<Column>]| -> Result<_, DivisionError> {
             let rules = self.rules.relaxed(&self.columns, &self.robots, stay)?;
-            let nobody = Wishes::default().check(&rules)?;
-            self.divided(job, &rules, &nobody, Search::All)
+            let no_wishes = Wishes::default().check(&rules)?;
+            self.divided(job, &rules, &no_wishes, Search::All)
         };
         let members: BTreeSet<&RobotId> = match job.previous.as_deref() {
             Some(last) => last.assignments().map(|(robot, _)| robot).collect(),

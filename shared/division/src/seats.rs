@@ -200,8 +200,8 @@ pub struct Arrivals {
     returned: Option<Tick>,
     /// When the last period of losses began.
     lost: Option<Tick>,
-    /// When the last period began in which robots are heard again.
-    heard: Option<Tick>,
+    /// When the last period began in which robots report again.
+    reporting: Option<Tick>,
     /// Whether a whole team was absent when it was last looked at.
     is_team_absent: bool,
     /// When that was last the case no more.
@@ -216,19 +216,19 @@ impl Arrivals {
         }
     }
 
-    /// Robots are heard again of a team that was silent, or that had left: others may follow, and until all have reported again,
+    /// Robots report again of a team that was silent, or that had left: others may follow, and until all have reported again,
     /// their vectors rest on what is new of some and old of others. At least as much time passes before the next such period.
-    pub fn note_heard_again(&mut self, now: Tick) {
-        if self.heard.is_none_or(|heard| now >= heard.after(2 * SETTLE_TIME)) {
-            self.heard = Some(now);
+    pub fn note_reporting_again(&mut self, now: Tick) {
+        if self.reporting.is_none_or(|since| now >= since.after(2 * SETTLE_TIME)) {
+            self.reporting = Some(now);
         }
     }
 
-    /// Whether a team has returned, or is heard again, of which more robots may follow, or robots have left that others may follow.
+    /// Whether a team has returned, or reports again, of which more robots may follow, or robots have left that others may follow.
     #[must_use]
     pub fn is_unsettled(&self, now: Tick) -> bool {
         settles(self.returned, now)
-            || settles(self.heard, now)
+            || settles(self.reporting, now)
             || self.lost.is_some_and(|lost| now.since(lost) < LOSS_TIME)
     }
 
@@ -241,8 +241,8 @@ impl Arrivals {
     /// Until when moves that begin are taken for a consequence of losses, or of the return of robots; none if no robots have left.
     #[must_use]
     pub fn losses_show_until(&self) -> Option<Tick> {
-        let heard = self.heard.map(|heard| heard.after(2 * SETTLE_TIME));
-        self.ends_showing().max(heard)
+        let reporting = self.reporting.map(|since| since.after(2 * SETTLE_TIME));
+        self.ends_showing().max(reporting)
     }
 
     /// When the consequences of the last losses no longer show.
@@ -252,7 +252,7 @@ impl Arrivals {
 
     /// When robots that may follow those that returned or left last are no longer waited for; empty if there are none.
     pub fn settled_at(&self) -> impl Iterator<Item = Tick> {
-        let settled = [self.returned, self.heard].into_iter().flatten();
+        let settled = [self.returned, self.reporting].into_iter().flatten();
         let settled = settled.map(|at| at.after(SETTLE_TIME));
         settled.chain(self.lost.map(|lost| lost.after(LOSS_TIME)))
     }

@@ -91,8 +91,8 @@ impl Clusterer {
         if self.orders.follow(context.now(), self.roster.as_deref(), &roster) {
             self.arrivals.note_loss(context.now());
         }
-        if self.are_heard_again(&roster) {
-            self.arrivals.note_heard_again(context.now());
+        if self.are_reporting_again(&roster) {
+            self.arrivals.note_reporting_again(context.now());
         }
         self.roster = Some(roster);
         // Robots became stale, left, or have other superiors: the same labels are republished.
@@ -112,8 +112,8 @@ impl Clusterer {
         }
     }
 
-    /// Whether a robot is heard again that had left, or whose whole team was silent: its link is back.
-    fn are_heard_again(&self, next: &Roster) -> bool {
+    /// Whether a robot reports again that had left, or whose whole team was silent: its link is back.
+    fn are_reporting_again(&self, next: &Roster) -> bool {
         let (Some(last), Some(division)) = (self.roster.as_deref(), &self.division) else {
             return false;
         };

@@ -131,7 +131,7 @@ fn a_team_that_was_silent_stays_as_it_is_until_all_of_its_robots_have_reported_a
         let robots = robots.split_whitespace().map(|name| format!("{name}{mark}"));
         robots.collect::<Vec<_>>().join(" ")
     };
-    // The first one that is heard of it is elsewhere for a moment by what is known of the others.
+    // The first one of it that reports is elsewhere for a moment by what is known of the others.
     let astray = |epoch| {
         let mut embedding = Embedding::clone(&camps(epoch, ALL, &THREE));
         let at = embedding.robots.iter().position(|name| name.as_str() == "z").unwrap();
