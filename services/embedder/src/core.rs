@@ -167,7 +167,7 @@ impl Core for Embedder {
     fn on_lead(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
         let newest = newest_embedding(&answers);
         if let Some(newest) = &newest {
-            self.shape.note(newest);
+            self.shape.note(context.now(), newest);
         }
         self.shape.lead();
         self.accept_answers(context, answers);
@@ -480,7 +480,7 @@ impl Embedder {
     fn note_shape(&mut self, context: &Context<'_>, found: &[Message]) {
         self.shape.asked(context.now());
         if let Some(embedding) = newest_embedding(found) {
-            self.shape.note(&embedding);
+            self.shape.note(context.now(), &embedding);
         }
     }
 

@@ -51,8 +51,8 @@ impl Shape {
 
     /// An embedding was published, by this instance or its leader. One of no robots, or of those that came first, says nothing of the
     /// fleet.
-    pub(crate) fn note(&mut self, embedding: &Embedding) {
-        if embedding.robots.is_empty() || self.found.is_some() {
+    pub(crate) fn note(&mut self, now: Tick, embedding: &Embedding) {
+        if embedding.robots.is_empty() || self.found(now).is_some() {
             return;
         }
         let teams = embedding.quality.teams_shown.unwrap_or(0);
@@ -71,8 +71,13 @@ impl Shape {
 
     /// What an embedding of robots that begins now goes on from; none if from the last one.
     pub(crate) fn goes_on_from(&mut self, now: Tick) -> Option<KeptShape> {
-        let since = *self.gathering_since.get_or_insert(now);
-        if now.since(since) >= GATHERING_TIME {
+        self.gathering_since.get_or_insert(now);
+        self.found(now)
+    }
+
+    /// What was found, until the robots have gathered: a fleet at rest has no further job that would end that time.
+    fn found(&mut self, now: Tick) -> Option<KeptShape> {
+        if self.gathering_since.is_some_and(|since| now.since(since) >= GATHERING_TIME) {
             self.found = None;
         }
         self.found

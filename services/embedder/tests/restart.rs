@@ -81,6 +81,29 @@ fn a_fleet_at_rest_shows_the_same_however_it_came_there() {
     assert_ne!(shape(bench.last()), shown);
 }
 
+/// It has no further job that would end the time for which it goes on from what it has found.
+#[test]
+fn what_a_fleet_at_rest_shows_is_kept_for_the_next_start() {
+    let (tie, shown, kept) = near_tie();
+    let mut bench = Bench::restarted(EmbedderSettings::default(), kept.clone());
+    let mut ingest = fleet(tie);
+    bench.frame(&mut ingest);
+    bench.wait(1.5);
+    let at_rest = shape(bench.last());
+    assert_ne!(at_rest, shown);
+    // What was kept before stands until the robots have gathered.
+    assert_eq!(bench.kept.clone().unwrap_or(kept.clone()), kept);
+    for _ in 0..3 {
+        bench.frame(&mut ingest);
+        bench.wait(1.0);
+    }
+    let kept = bench.kept.clone().unwrap();
+    assert_eq!(KeptShape::decode(&kept), Ok(at_rest));
+    let mut next = Bench::restarted(EmbedderSettings::default(), kept);
+    next.frame(&mut fleet(tie));
+    assert_eq!(shape(next.last()), at_rest);
+}
+
 #[test]
 fn a_new_leader_goes_on_from_the_number_of_the_one_before() {
     let (tie, shown, _) = near_tie();

@@ -132,7 +132,7 @@ pub fn divide(job: &Job) -> Result<Teams, DivisionError> {
         return Ok(found);
     }
     // Robots that would have divided a team stay with the others, and may then be elsewhere by what is around them.
-    Ok(until_it_stays(job.previous.as_deref(), job.next_team(), found, |found| {
+    Ok(until_it_stays(job, found, |found| {
         let same_number = found.teams.len() == job.teams as usize;
         let previous = Some(Checked::new_unchecked(found.clone()));
         divide_freely(&Job { previous, same_number, ..job.clone() }).ok()

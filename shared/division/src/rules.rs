@@ -304,7 +304,8 @@ impl TeamRules {
     /// The teams of the next division. Of those that robots were in so many stay as there are to be: teams that rules
     /// name before others, then those with most robots. New ones get the next numbers, and so do teams that ended, as long
     /// as it is not known whether most of their robots are in them again. A team in which no robot may be any more makes
-    /// room for another one, and so does one whose limits leave robots without a place, or places without robots.
+    /// room for another one, and so does one whose limits leave robots without a place, or places without robots. Where the last
+    /// division is to stand there are no `robots` to look at: no team makes room, and those of that division go before all others.
     pub(crate) fn columns(
         &self,
         teams: usize,
@@ -320,7 +321,11 @@ impl TeamRules {
             *members.entry(id).or_default() += 1;
         }
         let mut known: Vec<(&TeamId, usize)> = members.into_iter().collect();
-        known.sort_by_key(|&(id, count)| (!self.names(id), Reverse(count), identity::order(id)));
+        // Whoever comes back puts no robots out of their team while nothing satisfies the rules.
+        let waits = |id: &TeamId| robots.is_empty() && !living.contains(id);
+        known.sort_by_key(|&(id, count)| {
+            (waits(id), !self.names(id), Reverse(count), identity::order(id))
+        });
         let mut closed = BTreeSet::new();
         // Each turn but the last leaves out a team, so there are no more turns than teams.
         loop {
@@ -410,7 +415,7 @@ impl TeamRules {
     }
 
     /// The rules while nothing satisfies all of them: no team has more robots than it may have or a robot that must not be
-    /// there, robots stay in their last team, and those that have no place have no team.
+    /// there, the other robots stay in their last team, and those that have no place have no team.
     pub(crate) fn relaxed(
         &self,
         columns: &[TeamId],
@@ -418,19 +423,18 @@ impl TeamRules {
         stay: &[Option<Column>],
     ) -> Result<ValidRules, RulesError> {
         let upper = |id: &TeamId| Bounds::at_most(self.bounds(id).upper);
-        let forced = |(robot, column): (usize, &Option<Column>)| {
-            Some(Pair::Forced { robot, column: (*column)? })
-        };
         let bans = self.ties(columns, robots).into_iter().map(|tie| tie.pair);
-        let bans = bans.filter(|pair| matches!(pair, Pair::Forbidden { .. }));
-        Rules {
-            robots: robots.len(),
-            teams: columns.iter().map(upper).collect(),
-            reserve: Some(Bounds::ANY),
-            pairs: stay.iter().enumerate().filter_map(forced).chain(bans).collect(),
-            ..Rules::default()
-        }
-        .check()
+        let bans: BTreeSet<Pair> =
+            bans.filter(|pair| matches!(pair, Pair::Forbidden { .. })).collect();
+        let stays = |(robot, column): (usize, &Option<Column>)| {
+            let column = (*column)?;
+            let is_banned = bans.contains(&Pair::Forbidden { robot, column });
+            (!is_banned).then_some(Pair::Forced { robot, column })
+        };
+        let pairs = stay.iter().enumerate().filter_map(stays).chain(bans.iter().copied()).collect();
+        let teams = columns.iter().map(upper).collect();
+        let reserve = Some(Bounds::ANY);
+        Rules { robots: robots.len(), teams, reserve, pairs, ..Rules::default() }.check()
     }
 
     /// Whether something satisfies the rules for these robots in these teams.

@@ -1,5 +1,7 @@
 //! From vectors to teams that have limits: k-means over the robots with an embedding, whose assignments are exact.
 
+use std::collections::BTreeSet;
+
 use muster_numeric::assignment::{
     ApartClasses, Assigner, ClassPrice, Column, CostError, CostMatrix, DivisionError, Need, Pair,
     ValidRules, ValidWishes, Wanted, Wishes, apart_as_classes, assign_with_wishes,
@@ -151,9 +153,46 @@ fn is_empty(groups: &ValidWishes) -> bool {
     groups.get().wishes.is_empty() && groups.get().needs.is_empty()
 }
 
-/// Assignments that grant the wishes of groups, each followed by the means of the teams, until they stay. The column
-/// before costs the share `keep` only.
+/// Robots divided so that the wishes of groups are granted, from some centroids on. The column before costs the share `keep`
+/// only. No team is empty that could have a robot without lacking more of what is soft.
 fn grouped(
+    x: &DenseMatrix,
+    limits: &Limits<'_>,
+    centroids: DenseMatrix,
+    keep: f64,
+) -> Result<Division, LimitedError> {
+    let found = assigned(x, limits, centroids, keep)?;
+    let Some(rules) = without_empty_teams(x, limits.rules, &found.labels) else { return Ok(found) };
+    let filled = assigned(x, &Limits { rules: &rules, ..*limits }, found.centroids.clone(), keep);
+    let lacks = |found: &Division| shortfall(limits.rules, limits.groups, &found.labels);
+    Ok(filled.ok().filter(|filled| lacks(filled) <= lacks(&found)).unwrap_or(found))
+}
+
+/// The rules with a robot in each team that may have one; none if no team is empty, or if there are fewer places than teams.
+fn without_empty_teams(
+    x: &DenseMatrix,
+    rules: &ValidRules,
+    labels: &[Option<usize>],
+) -> Option<ValidRules> {
+    let mut filled = rules.get().clone();
+    let is_empty = |team: usize| !labels.contains(&Some(team));
+    let bits = |row: &[f64]| row.iter().map(|value| value.to_bits()).collect::<Vec<u64>>();
+    if !(0..filled.teams.len()).any(is_empty)
+        || x.iter_rows().map(bits).collect::<BTreeSet<_>>().len() < filled.teams.len()
+    {
+        return None;
+    }
+    for (team, bounds) in filled.teams.iter_mut().enumerate() {
+        let may_be = |robot: usize| rules.allows(robot, Column::Team(team));
+        if bounds.upper > 0 && (0..labels.len()).any(may_be) {
+            bounds.lower = bounds.lower.max(1);
+        }
+    }
+    filled.check().ok()
+}
+
+/// Assignments that grant the wishes of groups, each followed by the means of the teams, until they stay.
+fn assigned(
     x: &DenseMatrix,
     limits: &Limits<'_>,
     mut centroids: DenseMatrix,

@@ -91,7 +91,7 @@ impl Embedder {
         context.count("embeddings_published");
         self.was_suppressed = !context.is_leading();
         let embedding = Checked::new_unchecked(embedding);
-        self.shape.note(&embedding);
+        self.shape.note(context.now(), &embedding);
         self.embedding = Some(embedding.clone());
         context.publish(Message::Embedding(embedding.clone()));
         self.report_doubts(context, &embedding);
