@@ -434,6 +434,30 @@ mod tests {
         Wishes::default().check(rules).unwrap()
     }
 
+    /// How many teams robots on a line are divided into, some of which are to be together.
+    fn teams_of(points: &[f64], teams: usize, together: &[usize]) -> usize {
+        let rules = rules(points.len(), &vec![Bounds::ANY; teams], None);
+        let wish = Wish { relation: Relation::Together, robots: together.to_vec(), price: None };
+        let wishes = Wishes { wishes: vec![wish], ..Wishes::default() };
+        let groups = wishes.check(&rules).unwrap();
+        let previous = vec![None; points.len()];
+        let limits =
+            Limits { rules: &rules, groups: &groups, previous: &previous, refine_only: false };
+        let params = DivisionParams { teams, ..DivisionParams::default() }.check().unwrap();
+        let found = divide_within(&line(points), &params, &limits).unwrap();
+        assert!(together.iter().all(|robot| found.labels[*robot] == found.labels[together[0]]));
+        found.labels.iter().flatten().collect::<BTreeSet<_>>().len()
+    }
+
+    #[test]
+    fn no_team_is_left_empty_for_a_group() {
+        assert_eq!(teams_of(&[0.0, 1.0, 10.0, 10.1], 3, &[0, 1]), 3);
+        assert_eq!(teams_of(&[0.0, 1.0, 10.0], 2, &[0, 2]), 2);
+        // Robots in one place are one team, and a group of all cannot be two.
+        assert_eq!(teams_of(&[1.0, 1.0, 1.0], 2, &[0, 1]), 1);
+        assert_eq!(teams_of(&[0.0, 1.0, 10.0], 2, &[0, 1, 2]), 1);
+    }
+
     #[test]
     fn groups_are_together_or_apart() {
         let x = line(&[0.0, 0.1, 0.2, 5.0, 5.1, 5.2]);
