@@ -33,9 +33,13 @@ const LOSS_TIME: Duration = Duration::from_secs(3);
 /// For how long after robots have left a move that begins is taken for a consequence: while all stay, and as long after.
 const LOSS_SHOWS_TIME: Duration = Duration::from_secs(6);
 
-/// For how long after robots came that no team knows the evidence decides whether they get a free seat, and after
-/// a team returned it has its seat: the robots of a team come within a second or two, one after the other.
+/// For how long after robots came that no team knows the evidence decides whether they get a free seat: the robots of a team come
+/// within a second or two, one after the other.
 const SETTLE_TIME: Duration = Duration::from_secs(3);
+
+/// For how long after a team returned it has its seat and all stay in their teams: its robots come within a second or two, repeat
+/// their ranks within two more, and the fleet is at rest a second later. What is trusted of the relations is that of before again then.
+const RETURN_TIME: Duration = Duration::from_secs(5);
 
 /// Who has a team, at one embedding.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -136,7 +140,7 @@ impl Seats {
         let range = wanted.range();
         let (from, to) = (less(*range.start()), *range.end());
         let is_given = matches!(wanted, TeamCount::Fixed(_));
-        let may_keep = (is_given || !has_rules) && !settles(arrivals.newcomers, now);
+        let may_keep = (is_given || !has_rules) && !is_within(SETTLE_TIME, arrivals.newcomers, now);
         let is_unsettled = !has_rules && arrivals.is_unsettled(now);
         let seated = match (wanted, current) {
             _ if self.absent == 0 && !is_unsettled => wanted,
@@ -144,7 +148,8 @@ impl Seats {
             (TeamCount::Auto, _) => wanted,
             (TeamCount::Between { .. } | TeamCount::Fixed(_), _) => TeamCount::Between { from, to },
         };
-        if matches!(seated, TeamCount::Fixed(_)) || !settles(arrivals.returned, now) {
+        if matches!(seated, TeamCount::Fixed(_)) || !is_within(RETURN_TIME, arrivals.returned, now)
+        {
             return seated;
         }
         let (range, present) = (seated.range(), u32::try_from(self.present.len()));
@@ -227,9 +232,9 @@ impl Arrivals {
     /// Whether a team has returned, or reports again, of which more robots may follow, or robots have left that others may follow.
     #[must_use]
     pub fn is_unsettled(&self, now: Tick) -> bool {
-        settles(self.returned, now)
-            || settles(self.reporting, now)
-            || self.lost.is_some_and(|lost| now.since(lost) < LOSS_TIME)
+        is_within(RETURN_TIME, self.returned, now)
+            || is_within(SETTLE_TIME, self.reporting, now)
+            || is_within(LOSS_TIME, self.lost, now)
     }
 
     /// Whether no team is absent any more since less than `time` ago: the last one that was has returned, or is forgotten.
@@ -252,15 +257,15 @@ impl Arrivals {
 
     /// When robots that may follow those that returned or left last are no longer waited for; empty if there are none.
     pub fn settled_at(&self) -> impl Iterator<Item = Tick> {
-        let settled = [self.returned, self.reporting].into_iter().flatten();
-        let settled = settled.map(|at| at.after(SETTLE_TIME));
-        settled.chain(self.lost.map(|lost| lost.after(LOSS_TIME)))
+        let all =
+            [(self.returned, RETURN_TIME), (self.reporting, SETTLE_TIME), (self.lost, LOSS_TIME)];
+        all.into_iter().filter_map(|(began, time)| Some(began?.after(time)))
     }
 }
 
-/// Whether robots that came then may still be followed by others of their team.
-fn settles(came: Option<Tick>, now: Tick) -> bool {
-    came.is_some_and(|came| now.since(came) < SETTLE_TIME)
+/// Whether less than some time has passed since something began.
+fn is_within(time: Duration, began: Option<Tick>, now: Tick) -> bool {
+    began.is_some_and(|began| now.since(began) < time)
 }
 
 /// The team of each robot that has an embedding, in the order of the embedding: in the division, or else the

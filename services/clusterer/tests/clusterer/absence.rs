@@ -252,12 +252,12 @@ fn robots_that_stand_still_are_divided_again_once_a_team_that_returned_is_whole(
     };
     bench.receive_embedding(&elsewhere(3));
     assert_eq!(short(&held(&mut bench)), WHOLE);
-    bench.wait(4.0);
+    bench.wait(6.0);
     let settled = short(&held(&mut bench));
     assert_ne!(settled, WHOLE);
     // So it is by the next frame with the same vectors, and after a restart.
     bench.receive_embedding(&elsewhere(4));
-    bench.wait(4.0);
+    bench.wait(6.0);
     assert_eq!(short(&held(&mut bench)), settled);
 }
 
