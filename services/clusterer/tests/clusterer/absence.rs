@@ -377,6 +377,24 @@ fn robots_that_no_team_knows_get_a_free_seat_if_the_evidence_is_for_it() {
     }
 }
 
+/// With a robot that no team knows the evidence is for two teams, while those of the third one leave one after the other.
+#[test]
+fn robots_that_no_team_knows_end_no_team_while_its_robots_leave() {
+    for wanted in [TeamCount::Fixed(3), TeamCount::Auto] {
+        let (mut bench, _) = divided(settings(wanted), &camps(1, ALL, &THREE));
+        let mut epoch = 1;
+        for (left, third) in [("w x y", "t3: w x y"), ("w x", "t3: w x"), ("w", "t3: w")] {
+            for _ in 0..9 {
+                epoch += 1;
+                bench.wait(0.1);
+                bench.receive_embedding(&camps(epoch, &format!("{WITHOUT} e {left}"), &TWO));
+                let expected = format!("t1: a b c d e | t2: m n o p | {third}");
+                assert_eq!(short(&held(&mut bench)), expected, "{wanted}");
+            }
+        }
+    }
+}
+
 #[test]
 fn who_returns_without_relations_is_not_told_that_it_has_no_team() {
     let all = [("a b", WEST), ("x y", EAST)];
