@@ -6,8 +6,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use muster_foxglove::limits::{
-    LOST_FOR, MAX_LINKS, MAX_PENDING_CHANGES, MAX_WAITING_MESSAGES, PARAMETERS_WITHIN,
-    SETTINGS_PERIOD,
+    LOST_FOR, MAX_LINKS, MAX_PENDING_CHANGES, MAX_TURN_MESSAGES, PARAMETERS_WITHIN, SETTINGS_PERIOD,
 };
 use muster_foxglove::scene::{Entity, Message, Scene, Transform};
 use muster_foxglove::{
@@ -129,7 +128,7 @@ fn scenes_come_ten_times_a_second_and_no_turn_has_more_than_may_wait() {
         bridge.handle(at(now), Input::Audit(audit(epoch as u64), None));
         bridge.handle(at(now), Input::Event(Box::new(joined())));
         let turn = sent(bridge.handle(at(now), Input::Tick));
-        assert!(turn.len() <= MAX_WAITING_MESSAGES, "{} messages in one turn", turn.len());
+        assert!(turn.len() <= MAX_TURN_MESSAGES, "{} messages in one turn", turn.len());
         for (topic, _) in turn {
             *count.entry(topic).or_default() += 1;
         }

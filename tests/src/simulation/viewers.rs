@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use muster_client::{Freshness, Publication, Staleness, Via};
-use muster_foxglove::limits::{MAX_WAITING_MESSAGES, PARAMETERS_WITHIN};
+use muster_foxglove::limits::{MAX_TURN_MESSAGES, MAX_WAITING_MESSAGES, PARAMETERS_WITHIN};
 use muster_foxglove::scene::Message as Sent;
 use muster_foxglove::{
     Access, Bridge, Fetch, Input, Output, Parameter, RequestId, Stale, TEAMS, Topic, WEIGHTS,
@@ -573,7 +573,7 @@ impl World {
         self.viewers.judge.takes(&input);
         let outputs = self.viewers.core.handle(now, input);
         let sent = outputs.iter().filter(|output| matches!(output, Output::Send(..))).count();
-        if sent > MAX_WAITING_MESSAGES {
+        if sent > MAX_TURN_MESSAGES {
             let promise = "a viewer that reads misses nothing";
             self.require(breach(promise, format!("{sent} messages come at once")));
         }

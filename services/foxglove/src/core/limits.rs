@@ -12,11 +12,15 @@ pub const REPEAT_INTERVAL: Duration = Duration::from_secs(1);
 /// something that is old.
 pub const SCENE_LIFETIME: Duration = Duration::from_secs(4);
 
-/// Messages that wait for one viewer, of all topics together; the oldest makes room. The largest one of 10,000 robots has
-/// about a megabyte, so that a viewer that reads nothing costs less than 32 MiB.
-pub const MAX_WAITING_MESSAGES: usize = 8;
+/// Most messages in one turn, of all topics together.
+pub const MAX_TURN_MESSAGES: usize = 8;
 
-/// Scenes of links in one turn: with transforms, teams and quality they leave three of [`MAX_WAITING_MESSAGES`] for events.
+/// Messages that wait for one viewer, of all topics together; the oldest makes room. A viewer that reads once in several turns misses
+/// no scene that is sent only once a second. The largest message of 10,000 robots has about a megabyte, so that a viewer that
+/// reads nothing costs less than 32 MiB.
+pub const MAX_WAITING_MESSAGES: usize = 3 * MAX_TURN_MESSAGES;
+
+/// Scenes of links in one turn: with transforms, teams and quality they leave three of [`MAX_TURN_MESSAGES`] for events.
 /// Of more modalities that are watched each has its turn.
 pub const MAX_LINK_SCENES: usize = 2;
 
