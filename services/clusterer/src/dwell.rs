@@ -194,7 +194,7 @@ fn moves_any(before: &Teams, new: &Teams, renewed: &BTreeSet<&RobotId>) -> bool 
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use muster_model::header::{Header, Revision};
     use muster_model::id::FleetId;
     use muster_model::teams::{Member, Team};
@@ -222,7 +222,7 @@ mod tests {
     }
 
     /// A division: teams as `("t1", "a b c")`.
-    fn division(teams: &[(&str, &str)]) -> Teams {
+    pub(crate) fn division(teams: &[(&str, &str)]) -> Teams {
         let teams: Vec<Team> = teams
             .iter()
             .map(|(id, names)| {

@@ -316,7 +316,11 @@ fn same_teams(left: &Teams, right: &Teams) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use muster_model::id::{RobotId, TeamId};
+    use muster_model::teams::HeldRobot;
+
     use super::*;
+    use crate::dwell::tests::division;
 
     fn at(ms: u64) -> Tick {
         Tick(1_000_000).after(Duration::from_millis(ms))
@@ -365,6 +369,36 @@ mod tests {
         assert!(keeping.write(at(12_000)).is_some());
         keeping.ended(at(12_000), true);
         assert_eq!((keeping.due(), keeping.gives_at()), (None, None));
+    }
+
+    /// Whether a division is written after another one.
+    fn is_written(before: &Teams, memory: &Arc<Memory>, after: Teams) -> bool {
+        let mut keeping = Keeping::default();
+        keeping.note(&Checked::new_unchecked(before.clone()), memory);
+        assert!(keeping.write(at(0)).is_some());
+        keeping.ended(at(0), true);
+        keeping.note(&Checked::new_unchecked(after), memory);
+        keeping.due().is_some()
+    }
+
+    #[test]
+    fn what_the_next_process_needs_is_written_and_no_more() {
+        let before = division(&[("t1", "a b")]);
+        let nobody = Arc::new(Memory::default());
+        let mut absent = Memory::default();
+        absent.follow(at(0), Some(&division(&[("t1", "a b"), ("t2", "c")])), &before);
+        let absent = Arc::new(absent);
+        assert!(!is_written(&before, &nobody, before.clone()));
+        assert!(is_written(&before, &nobody, division(&[("t1", "a"), ("t2", "b")])));
+        // A move that is held back counts only where the loss of others holds it.
+        let held = HeldRobot { robot: RobotId::new("a").unwrap(), team: TeamId::numbered(2) };
+        let held = Teams { held: vec![held], ..before.clone() };
+        assert!(!is_written(&before, &nobody, held.clone()));
+        assert!(is_written(&before, &absent, held));
+        let limited = Some(Limited::standing("full".to_owned()));
+        let standing = Teams { limited, ..before.clone() };
+        assert!(is_written(&before, &nobody, standing.clone()));
+        assert!(!is_written(&standing, &nobody, standing.clone()));
     }
 
     #[test]

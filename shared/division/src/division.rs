@@ -48,14 +48,6 @@ pub struct Job {
     pub memory: Arc<Memory>,
 }
 
-impl Job {
-    /// The number of the first team that is new.
-    pub(crate) fn next_team(&self) -> u64 {
-        let next = self.previous.as_deref().map_or(1, |previous| previous.next_team);
-        next.max(self.memory.next_team)
-    }
-}
-
 /// Which robots stay in their last team, whatever their vectors are.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Staying {
@@ -132,7 +124,7 @@ pub fn divide(job: &Job) -> Result<Teams, DivisionError> {
         return Ok(found);
     }
     // Robots that would have divided a team stay with the others, and may then be elsewhere by what is around them.
-    Ok(until_it_stays(job, found, |found| {
+    Ok(until_it_stays(job.previous.as_deref(), &job.memory, found, |found| {
         let same_number = found.teams.len() == job.teams as usize;
         let previous = Some(Checked::new_unchecked(found.clone()));
         divide_freely(&Job { previous, same_number, ..job.clone() }).ok()

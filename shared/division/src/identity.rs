@@ -166,6 +166,11 @@ impl<'a> Numbers<'a> {
         Self { next: next.max(highest.saturating_add(1)).max(1), used }
     }
 
+    /// The lowest that may be left.
+    pub(crate) fn first(&self) -> u64 {
+        self.next
+    }
+
     /// The next one.
     pub(crate) fn next(&mut self) -> TeamId {
         loop {
@@ -270,7 +275,7 @@ fn robot_of(change: &TeamChange) -> Option<&RobotId> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use muster_model::header::{Header, Revision};
     use muster_model::id::FleetId;
     use muster_model::teams::{Member, Team};
@@ -286,7 +291,7 @@ mod tests {
     }
 
     /// A division: teams as `("t1", "a b c")`, robots without a team, the next number.
-    fn division(teams: &[(&str, &str)], unassigned: &str, next_team: u64) -> Teams {
+    pub(crate) fn division(teams: &[(&str, &str)], unassigned: &str, next_team: u64) -> Teams {
         let header = Header {
             fleet: FleetId::new("f").unwrap(),
             revision: Revision::default(),

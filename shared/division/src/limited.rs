@@ -39,7 +39,7 @@ pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionErro
     let lives = |id: &TeamId| first.is_some_and(|first| first.teams.iter().any(|t| t.id == *id));
     let new = found.teams.iter().map(|team| &team.id).filter(|id| !lives(id));
     let Some(rules) = rules.without_new_wishes(&new.collect(), &found) else { return Ok(found) };
-    Ok(until_it_stays(job, found, |found| {
+    Ok(until_it_stays(first, &job.memory, found, |found| {
         let again = Job { previous: Some(Checked::new_unchecked(found.clone())), ..job.clone() };
         let rules = rules.clone().resolved(Some(found), &job.memory, &job.embedding);
         // A search may end before it finds anything; what was found stands.

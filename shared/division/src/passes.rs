@@ -6,34 +6,37 @@ use std::collections::{BTreeMap, BTreeSet};
 use muster_model::id::{RobotId, TeamId};
 use muster_model::teams::{Limited, Member, Team, TeamChange, Teams};
 
-use crate::division::Job;
-use crate::identity;
+use crate::identity::{self, Numbers};
+use crate::memory::Memory;
 
 /// How many divisions are made at most, each from the one before, and only where that has changed something. Each costs as much
 /// as the first.
 const MAX_PASSES: usize = 8;
 
-/// The division that `found`, which is that of a job, becomes as it is divided again, by `again`, until nothing changes any more.
+/// The division that `found`, which follows `previous`, becomes as it is divided again, by `again`, until nothing changes any more.
 /// Where a division comes back, the best one since is taken, so that it does not depend on where that began. No team is lost on the
 /// way. A team that lives again keeps most of the robots with which it was found.
 pub(crate) fn until_it_stays(
-    job: &Job,
+    previous: Option<&Teams>,
+    memory: &Memory,
     mut found: Teams,
     again: impl Fn(&Teams) -> Option<Teams>,
 ) -> Teams {
-    let first = job.previous.as_deref();
     let mut earlier: Vec<Teams> = Vec::new();
     for _ in 1..MAX_PASSES {
-        if first.is_some_and(|first| is_kept(first, &found)) {
+        if previous.is_some_and(|previous| is_kept(previous, &found)) {
             break;
         }
         let next = again(&found).filter(|next| has_teams_of(next, &found));
-        let Some(next) = next.filter(|next| revived_teams_stay(job, &found, next)) else { break };
+        let Some(next) = next.filter(|next| revived_teams_stay(previous, memory, &found, next))
+        else {
+            break;
+        };
         if is_kept(&found, &next) {
             found.limited = next.limited;
             break;
         }
-        let next = Teams { changes: changes_since(job, &next), ..next };
+        let next = Teams { changes: changes_since(previous, memory, &next), ..next };
         earlier.push(std::mem::replace(&mut found, next));
         if let Some(at) = earlier.iter().position(|before| is_kept(before, &found)) {
             let best = earlier.into_iter().skip(at).min_by(|left, right| {
@@ -48,13 +51,12 @@ pub(crate) fn until_it_stays(
     found
 }
 
-/// What has changed since the last division of a job.
-fn changes_since(job: &Job, now: &Teams) -> Vec<TeamChange> {
+/// What has changed since the division before.
+fn changes_since(previous: Option<&Teams>, memory: &Memory, now: &Teams) -> Vec<TeamChange> {
     let teams = now.teams.iter().map(|team| team.members.iter().map(|member| &member.robot));
     let clusters: Vec<Vec<&RobotId>> = teams.map(Iterator::collect).collect();
     let ids = now.teams.iter().map(|team| team.id.clone()).collect();
-    let previous = job.previous.as_deref();
-    identity::named(&clusters, ids, &now.unassigned, previous, &job.memory).changes
+    identity::named(&clusters, ids, &now.unassigned, previous, memory).changes
 }
 
 /// Whether a division has all teams of another one.
@@ -79,17 +81,99 @@ fn is_kept(before: &Teams, now: &Teams) -> bool {
         && !now.unassigned.iter().any(|robot| team_of.contains_key(robot))
 }
 
-/// Whether the teams that are not in the last division of a job, but were there before it, keep more than half of their robots:
+/// Whether the teams that are not in the division before, but were there once, keep more than half of their robots:
 /// these have given them their ids.
-fn revived_teams_stay(job: &Job, before: &Teams, now: &Teams) -> bool {
-    let last = job.previous.iter().flat_map(|last| &last.teams);
+fn revived_teams_stay(
+    previous: Option<&Teams>,
+    memory: &Memory,
+    before: &Teams,
+    now: &Teams,
+) -> bool {
+    let last = previous.into_iter().flat_map(|last| &last.teams);
     let known: BTreeSet<&TeamId> = last.map(|team| &team.id).collect();
+    let first_new = Numbers::after(previous, memory).first();
     let team_of: BTreeMap<&RobotId, &TeamId> = now.assignments().collect();
     let stays = |team: &Team| {
         let is_there = |member: &&Member| team_of.get(&member.robot) == Some(&&team.id);
         let kept = team.members.iter().filter(is_there).count();
-        let is_new = identity::number(&team.id).is_some_and(|number| number >= job.next_team());
+        let is_new = identity::number(&team.id).is_some_and(|number| number >= first_new);
         is_new || known.contains(&team.id) || 2 * kept > team.members.len()
     };
     before.teams.iter().all(stays)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identity::tests::division;
+
+    /// A division with its sum of squared distances; it stands if that is below zero.
+    fn found(teams: &[(&str, &str)], inertia: f64) -> Teams {
+        let limited = (inertia < 0.0).then(|| Limited::standing("full".to_owned()));
+        Teams { inertia, limited, ..division(teams, "", 4) }
+    }
+
+    /// Each division leads to the next one, and the last one to that with the number `back`; none refuses to be divided.
+    fn settled(previous: Option<&Teams>, all: &[Teams], back: usize) -> Teams {
+        let again = |from: &Teams| {
+            let at = all.iter().position(|one| is_kept(one, from) && is_kept(from, one)).unwrap();
+            all.get(at + 1).or(all.get(back)).cloned()
+        };
+        until_it_stays(previous, &Memory::default(), all[0].clone(), again)
+    }
+
+    #[test]
+    fn of_divisions_in_a_circle_the_best_is_taken() {
+        let [far, near] = [(["a b", "c d"], 2.0), (["a c", "b d"], 1.0)]
+            .map(|([one, two], inertia)| found(&[("t1", one), ("t2", two)], inertia));
+        for all in [[far.clone(), near.clone()], [near.clone(), far.clone()]] {
+            assert!(is_kept(&settled(None, &all, 0), &near));
+        }
+        // What stands is worse than whatever satisfies the rules.
+        let standing = found(&[("t1", "a c"), ("t2", "b d")], -1.0);
+        assert!(is_kept(&settled(None, &[far.clone(), standing], 0), &far));
+        // The first one is not in the circle.
+        let best = found(&[("t1", "a d"), ("t2", "b c")], 0.5);
+        assert!(is_kept(&settled(None, &[best, far, near.clone()], 1), &near));
+    }
+
+    #[test]
+    fn a_team_may_begin_on_the_way_and_none_ends() {
+        let previous = found(&[("t1", "a b"), ("t2", "c")], 1.0);
+        let standing = found(&[("t1", "a b c")], -1.0);
+        let with_new = found(&[("t1", "a b"), ("t4", "c")], 1.0);
+        let settled_with = |all: &[Teams]| settled(Some(&previous), all, all.len());
+        let both = settled_with(&[standing.clone(), with_new.clone()]);
+        assert!(is_kept(&both, &with_new));
+        // The changes are those since the division before.
+        let team = |id: &str| TeamId::new(id).unwrap();
+        assert_eq!(
+            both.changes,
+            [
+                TeamChange::Merged { from: team("t2"), into: team("t4") },
+                TeamChange::Born { team: team("t4") },
+                TeamChange::Moved {
+                    robot: RobotId::new("c").unwrap(),
+                    from: Some(team("t2")),
+                    to: Some(team("t4")),
+                },
+            ]
+        );
+        assert!(is_kept(&settled_with(&[with_new.clone(), standing]), &with_new));
+    }
+
+    #[test]
+    fn what_is_as_before_is_not_divided_again() {
+        let previous = found(&[("t1", "a b"), ("t2", "c d")], 2.0);
+        let better = found(&[("t1", "a c"), ("t2", "b d")], 1.0);
+        assert!(is_kept(&settled(Some(&previous), &[previous.clone(), better], 0), &previous));
+        // A robot that has no team any more has changed.
+        let without = Teams {
+            unassigned: vec![RobotId::new("d").unwrap()],
+            ..found(&[("t1", "a b"), ("t2", "c")], 1.0)
+        };
+        let elsewhere = found(&[("t1", "a b d"), ("t2", "c")], 1.0);
+        let all = [without, elsewhere.clone()];
+        assert!(is_kept(&settled(Some(&previous), &all, 2), &elsewhere));
+    }
 }
