@@ -384,21 +384,21 @@ mod tests {
     #[test]
     fn what_the_next_process_needs_is_written_and_no_more() {
         let before = division(&[("t1", "a b")]);
-        let nobody = Arc::new(Memory::default());
+        let nothing = Arc::new(Memory::default());
         let mut absent = Memory::default();
         absent.follow(at(0), Some(&division(&[("t1", "a b"), ("t2", "c")])), &before);
         let absent = Arc::new(absent);
-        assert!(!is_written(&before, &nobody, before.clone()));
-        assert!(is_written(&before, &nobody, division(&[("t1", "a"), ("t2", "b")])));
+        assert!(!is_written(&before, &nothing, before.clone()));
+        assert!(is_written(&before, &nothing, division(&[("t1", "a"), ("t2", "b")])));
         // A move that is held back counts only where the loss of others holds it.
         let held = HeldRobot { robot: RobotId::new("a").unwrap(), team: TeamId::numbered(2) };
         let held = Teams { held: vec![held], ..before.clone() };
-        assert!(!is_written(&before, &nobody, held.clone()));
+        assert!(!is_written(&before, &nothing, held.clone()));
         assert!(is_written(&before, &absent, held));
         let limited = Some(Limited::standing("full".to_owned()));
         let standing = Teams { limited, ..before.clone() };
-        assert!(is_written(&before, &nobody, standing.clone()));
-        assert!(!is_written(&standing, &nobody, standing.clone()));
+        assert!(is_written(&before, &nothing, standing.clone()));
+        assert!(!is_written(&standing, &nothing, standing.clone()));
     }
 
     #[test]

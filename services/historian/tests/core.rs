@@ -14,7 +14,7 @@ use muster_model::history::{
     LeaveReason, Query, Record, RecordingReport, RecordingState, Rows, SnapshotCause, Subject,
 };
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName, TeamId};
-use muster_model::roster::{Presence, Roster, RosterEntry};
+use muster_model::roster::{Roster, RosterEntry};
 use muster_model::settings::HistorianSettings;
 use muster_model::teams::{Member, Team, Teams};
 use muster_model::time::Tick;
@@ -89,18 +89,7 @@ fn audit(epoch: u64, mean: f64, quality: Quality) -> Message {
 }
 
 fn roster(epoch: u64, robots: impl Iterator<Item = usize>) -> Message {
-    let entry = |number: usize| RosterEntry {
-        node: number as u32,
-        robot: robot(number),
-        presence: Presence::Active,
-        position: None,
-        heading: None,
-        frame: None,
-        superior: None,
-        role: None,
-        skills: vec![],
-        last_seen: Tick(NOW.0 - 7),
-    };
+    let entry = |number: usize| RosterEntry::active(number as u32, robot(number), Tick(NOW.0 - 7));
     let robots = robots.map(entry).collect();
     Message::Roster(
         Checked::new(Roster { header: header(epoch), robots, graphs: Vec::new() }).unwrap(),

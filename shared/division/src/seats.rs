@@ -140,7 +140,14 @@ impl Seats {
         let range = wanted.range();
         let (from, to) = (less(*range.start()), *range.end());
         let is_given = matches!(wanted, TeamCount::Fixed(_));
-        let may_keep = (is_given || !has_rules) && !self.do_newcomers_decide(now, arrivals);
+        // Robots that no team knows have their moment once no more robots leave: the evidence would put those of a team that are still
+        // there into other teams.
+        let are_leaving = !self.present.is_empty() && is_within(LOSS_TIME, arrivals.lost, now);
+        let have_come = is_within(SETTLE_TIME, arrivals.newcomers, now);
+        if have_come && are_leaving {
+            arrivals.newcomers = Some(now);
+        }
+        let may_keep = (is_given || !has_rules) && (are_leaving || !have_come);
         let is_unsettled = !has_rules && arrivals.is_unsettled(now);
         let seated = match (wanted, current) {
             _ if self.absent == 0 && !is_unsettled => wanted,
@@ -155,19 +162,6 @@ impl Seats {
         let (range, present) = (seated.range(), u32::try_from(self.present.len()));
         let from = present.unwrap_or(1).clamp(*range.start(), *range.end());
         TeamCount::Between { from, to: *range.end() }
-    }
-
-    /// Whether the evidence decides if robots that no team knows get a free seat. Their moment begins once no more robots leave that
-    /// others may follow: the evidence would put those of a team that are there still into other teams.
-    fn do_newcomers_decide(&self, now: Tick, arrivals: &mut Arrivals) -> bool {
-        let have_come = is_within(SETTLE_TIME, arrivals.newcomers, now);
-        if self.present.is_empty() || !is_within(LOSS_TIME, arrivals.lost, now) {
-            return have_come;
-        }
-        if have_come {
-            arrivals.newcomers = Some(now);
-        }
-        false
     }
 }
 

@@ -14,7 +14,7 @@ use muster_division::rules::{Asked, TeamRules};
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, SkillId, TeamId};
-use muster_model::roster::{Presence, Roster, RosterEntry};
+use muster_model::roster::{Roster, RosterEntry};
 use muster_model::settings::{ClustererSettings, Need, SkillCount, TeamSize};
 use muster_model::teams::{Limited, Teams};
 use muster_model::time::Tick;
@@ -144,16 +144,15 @@ impl Fleet {
         (1..=self.draw(moment, 0, 4)).map(one).collect()
     }
 
-    /// What each team needs in one of two moments.
+    /// What each team needs; nothing in half of the moments.
     fn needs(&self, moment: usize) -> Vec<Need> {
-        let amount = self.draw(moment, 90, 4) as u32;
         let need = |skill: &str, min, max| Need {
             skill: SkillId::new(skill).unwrap(),
             team: None,
             per_team: SkillCount { min, max },
             soft: false,
         };
-        match amount {
+        match self.draw(moment, 90, 4) {
             0 | 1 => Vec::new(),
             2 => vec![need("medic", 1, Some(2))],
             _ => vec![need("medic", 1, None), need("relay", 1, None)],
@@ -167,16 +166,8 @@ fn roster(embedding: &Embedding) -> Roster {
         let skills = [("medic", 2), ("relay", 3)].into_iter();
         let skills = skills.filter(|(_, each)| node % each == 0);
         RosterEntry {
-            node,
-            robot: robot.clone(),
-            presence: Presence::Active,
-            position: None,
-            heading: None,
-            frame: None,
-            superior: None,
-            role: None,
             skills: skills.map(|(skill, _)| SkillId::new(skill).unwrap()).collect(),
-            last_seen: Tick(0),
+            ..RosterEntry::active(node, robot.clone(), Tick(0))
         }
     };
     let robots = embedding.robots.iter().zip(0..).map(entry).collect();

@@ -1,12 +1,12 @@
 //! From vectors to teams that have limits: k-means over the robots with an embedding, whose assignments are exact.
 
-use std::collections::BTreeSet;
-
 use muster_numeric::assignment::{
     ApartClasses, Assigner, ClassPrice, Column, CostError, CostMatrix, DivisionError, Need, Pair,
     ValidRules, ValidWishes, Wanted, Wishes, apart_as_classes, assign_with_wishes,
 };
-use muster_numeric::kmeans::{KMeansError, KMeansLimits, KMeansOptions, LimitedKMeansError};
+use muster_numeric::kmeans::{
+    KMeansError, KMeansLimits, KMeansOptions, LimitedKMeansError, count_distinct,
+};
 use muster_numeric::matrix::{DenseMatrix, MatrixError};
 
 use crate::division::Division;
@@ -174,14 +174,12 @@ fn without_empty_teams(
     rules: &ValidRules,
     labels: &[Option<usize>],
 ) -> Option<ValidRules> {
-    let mut filled = rules.get().clone();
-    let is_empty = |team: usize| !labels.contains(&Some(team));
-    let bits = |row: &[f64]| row.iter().map(|value| value.to_bits()).collect::<Vec<u64>>();
-    if !(0..filled.teams.len()).any(is_empty)
-        || x.iter_rows().map(bits).collect::<BTreeSet<_>>().len() < filled.teams.len()
-    {
+    let teams = rules.get().teams.len();
+    let has_robots = |team: usize| labels.contains(&Some(team));
+    if (0..teams).all(has_robots) || count_distinct(x, teams) < teams {
         return None;
     }
+    let mut filled = rules.get().clone();
     for (team, bounds) in filled.teams.iter_mut().enumerate() {
         let may_be = |robot: usize| rules.allows(robot, Column::Team(team));
         if bounds.upper > 0 && (0..labels.len()).any(may_be) {
@@ -416,6 +414,8 @@ pub fn rows_of(x: &DenseMatrix, rows: &[usize]) -> Result<DenseMatrix, MatrixErr
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use muster_numeric::assignment::{Bounds, ClassLimit, Relation, Rules, Wish};
 
     use super::*;

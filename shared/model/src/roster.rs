@@ -46,6 +46,23 @@ pub struct RosterEntry {
 }
 
 impl RosterEntry {
+    /// A robot that has reported lately, and of which nothing else is known.
+    #[must_use]
+    pub const fn active(node: Node, robot: RobotId, last_seen: Tick) -> Self {
+        Self {
+            node,
+            robot,
+            presence: Presence::Active,
+            position: None,
+            heading: None,
+            frame: None,
+            superior: None,
+            role: None,
+            skills: Vec::new(),
+            last_seen,
+        }
+    }
+
     /// Whether the robot is there and has a skill. A stale robot can do nothing for its team.
     #[must_use]
     pub fn offers(&self, skill: &SkillId) -> bool {

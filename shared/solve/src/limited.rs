@@ -15,7 +15,7 @@ use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, RobotId, TeamId};
-use muster_model::roster::{Presence, Roster, RosterEntry};
+use muster_model::roster::{Roster, RosterEntry};
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::{Limited, SkillPrices, TeamNeed, Teams};
 use muster_model::time::Tick;
@@ -158,16 +158,8 @@ fn needs(problem: &Problem, settings: &ClustererSettings) -> Result<Needs, Solve
 /// The robots with their skills.
 fn roster(problem: &Problem) -> Result<Roster, SolveError> {
     let entry = |(robot, node): (&RobotId, u32)| RosterEntry {
-        node,
-        robot: robot.clone(),
-        presence: Presence::Active,
-        position: None,
-        heading: None,
-        frame: None,
-        superior: None,
-        role: None,
         skills: problem.asks.skills.get(robot).cloned().unwrap_or_default(),
-        last_seen: MOMENT,
+        ..RosterEntry::active(node, robot.clone(), MOMENT)
     };
     let robots = problem.robots.iter().zip(0..).map(entry).collect();
     Ok(Roster { header: header()?, robots, graphs: Vec::new() })

@@ -12,7 +12,7 @@ use muster_model::event::EventKind;
 use muster_model::graph::{GraphDelta, GraphReplica, GraphRow, Node};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
-use muster_model::roster::{Presence, Roster, RosterEntry};
+use muster_model::roster::{Roster, RosterEntry};
 use muster_model::settings::{Alpha, EmbedderSettings, Normalization};
 use muster_model::time::Tick;
 use muster_service::{Ask, Input, Start, Stored, testkit};
@@ -192,18 +192,8 @@ impl Ingest {
                 graphs.push(Arc::new(delta));
             }
         }
-        let entry = |(robot, node): (&RobotId, &Node)| RosterEntry {
-            node: *node,
-            robot: robot.clone(),
-            presence: Presence::Active,
-            position: None,
-            heading: None,
-            frame: None,
-            superior: None,
-            role: None,
-            skills: vec![],
-            last_seen: now,
-        };
+        let entry =
+            |(robot, node): (&RobotId, &Node)| RosterEntry::active(*node, robot.clone(), now);
         let roster = Checked::new_unchecked(Roster {
             header: self.header(now),
             robots: self.robots.iter().map(entry).collect(),

@@ -12,20 +12,19 @@ pub const REPEAT_INTERVAL: Duration = Duration::from_secs(1);
 /// something that is old.
 pub const SCENE_LIFETIME: Duration = Duration::from_secs(4);
 
-/// Most messages in one turn, of all topics together.
-pub const MAX_TURN_MESSAGES: usize = 8;
-
-/// Messages that wait for one viewer, of all topics together; the oldest makes room. A viewer that reads once in several turns misses
-/// no scene that is sent only once a second. The largest message of 10,000 robots has about a megabyte, so that a viewer that
-/// reads nothing costs less than 32 MiB.
-pub const MAX_WAITING_MESSAGES: usize = 3 * MAX_TURN_MESSAGES;
-
-/// Scenes of links in one turn: with transforms, teams and quality they leave three of [`MAX_TURN_MESSAGES`] for events.
-/// Of more modalities that are watched each has its turn.
+/// Scenes of links in one turn. Of more modalities that are watched each has its turn.
 pub const MAX_LINK_SCENES: usize = 2;
 
 /// Events in one turn.
 pub const MAX_EVENTS_SENT: usize = 3;
+
+/// Most messages in one turn: transforms, teams and quality, links, and events.
+pub const MAX_TURN_MESSAGES: usize = 3 + MAX_LINK_SCENES + MAX_EVENTS_SENT;
+
+/// Messages that wait for one viewer, of all topics together; the oldest makes room. They are three turns at least, and more where
+/// less is sent in each: with few, a viewer that reads slowly loses scenes that are sent once a second. The largest message of 10,000
+/// robots has about a megabyte, so that a viewer that reads nothing costs less than 32 MiB.
+pub const MAX_WAITING_MESSAGES: usize = 3 * MAX_TURN_MESSAGES;
 
 /// Most events that wait for their turn; when a whole fleet joins, more are counted and left out.
 pub const MAX_WAITING_EVENTS: usize = 256;

@@ -68,7 +68,7 @@ impl Phase {
 mod tests {
     use muster_model::header::{Header, Revision, StageTime};
     use muster_model::id::{FleetId, ServiceName};
-    use muster_model::roster::{Presence, RosterEntry};
+    use muster_model::roster::RosterEntry;
 
     use super::*;
 
@@ -82,17 +82,8 @@ mod tests {
 
     /// A roster of a frame, in microseconds, with the last sign of life of each robot.
     fn roster(made: u64, seen: &[(&str, u64)]) -> Roster {
-        let entry = |(name, last_seen): &(&str, u64)| RosterEntry {
-            node: 0,
-            robot: name.parse().unwrap(),
-            presence: Presence::Active,
-            position: None,
-            heading: None,
-            frame: None,
-            superior: None,
-            role: None,
-            skills: vec![],
-            last_seen: Tick(*last_seen),
+        let entry = |(name, last_seen): &(&str, u64)| {
+            RosterEntry::active(0, name.parse().unwrap(), Tick(*last_seen))
         };
         let published = Tick(made);
         let stage = StageTime { stage: ServiceName::Ingest, received: published, published };

@@ -27,4 +27,4 @@ mod warm;
 pub use division::{KMeans, KMeansError, kmeans, kmeans_with_progress, lloyd};
 pub use limited::{KMeansLimits, LimitedKMeans, LimitedKMeansError};
 pub use options::{Init, KMeansOptions, KMeansOptionsError, ValidKMeansOptions};
-pub use seeding::DISTINCT_ROW_RATIO;
+pub use seeding::{DISTINCT_ROW_RATIO, count_distinct};

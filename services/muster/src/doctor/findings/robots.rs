@@ -242,18 +242,8 @@ mod tests {
     }
 
     fn roster(names: &[&str]) -> Roster {
-        let entry = |(node, name): (u32, &&str)| RosterEntry {
-            node,
-            robot: robot(name),
-            presence: Presence::Active,
-            position: None,
-            heading: None,
-            frame: None,
-            superior: None,
-            role: None,
-            skills: vec![],
-            last_seen: Tick::default(),
-        };
+        let entry =
+            |(node, name): (u32, &&str)| RosterEntry::active(node, robot(name), Tick::default());
         let header = Header {
             fleet: FleetId::new("f").unwrap(),
             revision: Revision::default(),

@@ -16,8 +16,10 @@ use crate::linalg::vector::squared_distance;
 /// interchangeable in the graph have equal rows up to rounding, which must not divide them.
 pub const DISTINCT_ROW_RATIO: f64 = 1e-9;
 
-/// Number of distinct rows, counted up to `limit`.
-pub(super) fn count_distinct(x: &DenseMatrix, limit: usize) -> usize {
+/// Number of distinct rows of `x`, N × D, counted up to `limit`: those are equal that are closer than [`DISTINCT_ROW_RATIO`] of the
+/// longest one.
+#[must_use]
+pub fn count_distinct(x: &DenseMatrix, limit: usize) -> usize {
     let tolerance = DISTINCT_ROW_RATIO * DISTINCT_ROW_RATIO * longest_square(x);
     let mut found: Vec<&[f64]> = Vec::new();
     for row in x.iter_rows() {
