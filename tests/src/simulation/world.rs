@@ -653,10 +653,11 @@ impl World {
                     if since >= at + STANDING_TIME {
                         self.check_standing();
                     }
-                    self.settled = Some((at, before));
+                    // Which moves are held back may be another thing by now.
+                    self.settled = Some((at, now));
                 }
                 Err(_) if since <= limit => self.settled = Some((since, now)),
-                // The seat of a team that is absent may end, and its place may be filled.
+                // The seat of a team that is absent may end: its place is filled, and moves that waited for it follow.
                 Err(_) if self.may_fill_seats(&before) && since <= SEATS_TIME => {
                     self.seat_filled = self.now;
                     self.settled = Some((at, now));
@@ -724,9 +725,11 @@ impl World {
         self.schedule(self.now + TICK, Event::Poll);
     }
 
-    /// Whether the seat of a team that is absent may end.
+    /// Whether the seat of a team that is absent may end, or what was held back for such a team has just followed.
     fn may_fill_seats(&self, before: &Agreed) -> bool {
-        before.has_free_seats() || self.oracle.has_team_ended_within(self.now, SEATS_TIME)
+        before.has_free_seats()
+            || self.oracle.has_team_ended_within(self.now, SEATS_TIME)
+            || self.oracle.has_only_released(before)
     }
 
     /// Whether all differ only because a division that fills the place of an absent team has just been published, long after

@@ -68,6 +68,24 @@ impl Agreed {
         self.division.as_ref().is_some_and(|teams| teams.requested as usize > teams.teams.len())
     }
 
+    /// Whether robots stay in their teams only for as long as a team is absent, as the division says.
+    pub(crate) fn holds_moves(&self) -> bool {
+        self.division.as_ref().is_some_and(|teams| !teams.held.is_empty())
+    }
+
+    /// Whether another division differs only in moves that this one says are held back.
+    fn announces(&self, now: &Teams) -> bool {
+        let Some(before) = &self.division else { return false };
+        let held = |robot: &RobotId| before.held.iter().find(|held| held.robot == *robot);
+        let now_in: BTreeMap<&RobotId, &TeamId> = now.assignments().collect();
+        now_in.len() == before.assignments().count()
+            && before.unassigned == now.unassigned
+            && before.assignments().all(|(robot, team)| {
+                let now = now_in.get(robot).copied();
+                now == Some(team) || now.is_some() && now == held(robot).map(|held| &held.team)
+            })
+    }
+
     /// The teams, if there were robots.
     pub(crate) fn division(&self) -> Option<&Teams> {
         self.division.as_deref()
@@ -288,7 +306,12 @@ impl Oracle {
 
     /// Whether the loss of a team is to move no other robot: nothing is asked of teams, and no other one is absent.
     pub(crate) fn loss_moves_no_other(&self, agreed: &Agreed) -> bool {
-        self.limits.are_none() && !agreed.has_free_seats()
+        self.limits.are_none() && !agreed.has_free_seats() && !agreed.holds_moves()
+    }
+
+    /// Whether the last division differs from the one that all had agreed on only in moves that waited for an absent team.
+    pub(crate) fn has_only_released(&self, agreed: &Agreed) -> bool {
+        self.divisions.last().is_some_and(|last| agreed.announces(last))
     }
 
     /// Whether nothing relates a robot to others in the embedding that a division names.
