@@ -17,9 +17,9 @@ use crate::pipeline::{formed, truth};
 
 const SOON: Duration = Duration::from_secs(20);
 
-/// When services that restarted with lower terms are followed, by the documentation of the client: twice
-/// `stale_after` and one heartbeat.
-pub(crate) const FOLLOWED_WITHIN: Duration = Duration::from_secs(11);
+/// When services that restarted with lower terms are followed, by the documentation of the client: `stale_after`
+/// and one heartbeat.
+pub(crate) const FOLLOWED_WITHIN: Duration = Duration::from_secs(6);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_console_shows_the_live_fleet() {

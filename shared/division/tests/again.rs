@@ -4,10 +4,10 @@
 
 mod vectors;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use muster_division::division::{Job, Staying, divide};
+use muster_division::division::{Job, Staying, divide, with_held};
 use muster_division::memory::Memory;
 use muster_division::needs::Needs;
 use muster_division::rules::{Asked, TeamRules};
@@ -80,6 +80,11 @@ impl Fleet {
 
     /// The same with what is remembered of teams before.
     fn divided_knowing(&self, moment: usize, previous: Option<&Teams>, memory: Memory) -> Teams {
+        divide(&self.job(moment, previous, memory)).unwrap()
+    }
+
+    /// What is to be divided in a moment.
+    fn job(&self, moment: usize, previous: Option<&Teams>, memory: Memory) -> Job {
         let value = |at| noise(self.case, at + moment * self.robots * DIMENSION);
         let mut embedding = embedding(DIMENSION, (0..self.robots * DIMENSION).map(value).collect());
         let (mut settings, mut wishes) = (self.settings.clone(), Vec::new());
@@ -104,7 +109,7 @@ impl Fleet {
         let memory = Arc::new(memory);
         let rules = TeamRules::of(&settings, wishes, needs);
         let rules = rules.map(|rules| Arc::new(rules.resolved(previous, &memory, &embedding)));
-        let job = Job {
+        Job {
             embedding: Checked::new_unchecked(embedding),
             settings,
             rules,
@@ -115,8 +120,7 @@ impl Fleet {
             renewed: BTreeSet::new(),
             previous: previous.cloned().map(Checked::new_unchecked),
             memory,
-        };
-        divide(&job).unwrap()
+        }
     }
 
     /// A number below `end` for each question about a moment.
@@ -238,4 +242,37 @@ fn whatever_is_asked_is_divided_once() {
     }
     assert!(standing > 100, "{standing} of 4000");
     assert!(failed.is_empty(), "{} of 4000: {:#?}", failed.len(), &failed[..failed.len().min(8)]);
+}
+
+/// Robots that are to wait in their last team take no place that others need.
+#[test]
+fn no_team_is_without_a_robot_while_others_wait() {
+    let (mut held_back, mut empty) = (0, Vec::new());
+    for case in 0..4000 {
+        let fleet = Fleet::new(case, Asking::Anything);
+        let mut memory = Memory::default();
+        let mut last: Option<Teams> = None;
+        for moment in 0..4 {
+            let job = fleet.job(moment, last.as_ref(), memory.clone());
+            let found = divide(&job).unwrap();
+            if let (Some(rules), Some(last)) = (&job.rules, &last) {
+                let lives = |id: &TeamId| found.teams.iter().any(|team| team.id == *id);
+                let before: BTreeMap<&RobotId, &TeamId> = last.assignments().collect();
+                let moved = found.assignments().filter_map(|(robot, team)| {
+                    let from = before.get(robot).filter(|from| **from != team && lives(from))?;
+                    Some((robot.clone(), (*from).clone()))
+                });
+                let held = rules.keep(&found, moved.collect());
+                held_back += held.len();
+                let waiting = with_held(&found, &held, Some(rules), &job.embedding).unwrap();
+                if waiting.teams.iter().any(|team| team.members.is_empty()) {
+                    empty.push(format!("{case}: {} => {}", short(last), short(&waiting)));
+                }
+            }
+            memory.follow(Tick(moment as u64), last.as_ref(), &found);
+            last = Some(found);
+        }
+    }
+    assert!(held_back > 1000, "{held_back} robots were held back");
+    assert!(empty.is_empty(), "{} of 4000: {:#?}", empty.len(), &empty[..empty.len().min(8)]);
 }

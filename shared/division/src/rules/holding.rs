@@ -53,7 +53,8 @@ impl TeamRules {
         (are_filled && are_granted).then_some(held)
     }
 
-    /// For each robot of a division, whether it is to stay in its last team and may.
+    /// For each robot of a division, whether it is to stay in its last team and may; none if robots would have to be in neither
+    /// of their two teams.
     fn assigned_with(
         &self,
         columns: &[TeamId],
@@ -89,10 +90,13 @@ impl TeamRules {
         }
         let costs = CostMatrix::new(robots.len(), columns.len(), costs).ok()?;
         let found = Assigner::new().solve(&rules.ok()?, &costs).ok()?;
-        let stays = robots.iter().zip(found.columns).map(|((robot, _), column)| {
-            let Column::Team(at) = column else { return false };
-            held.get(*robot) == columns.get(at)
+        let placed = robots.iter().zip(found.columns).map(|((robot, to), column)| {
+            let Column::Team(at) = column else { return None };
+            let stays = held.get(*robot) == columns.get(at);
+            (stays || columns.get(at) == Some(*to)).then_some(stays)
         });
-        Some(stays.collect())
+        // A rule that counts only from the next division on, such as a pin into a team that this one begins, has a robot in a
+        // third team. None is there to take the place of who stays then.
+        placed.collect()
     }
 }
