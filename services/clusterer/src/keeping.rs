@@ -58,6 +58,10 @@ pub(crate) struct Keeping {
     under_way: VecDeque<u64>,
     /// All wishes, as they were published last.
     wishes: Option<Checked<WishList>>,
+    /// How many places are kept for absent teams of which nothing is remembered; none if it is not known.
+    vacant: Option<u32>,
+    /// The same at the last write.
+    written_vacant: Option<u32>,
     /// The wishes of the last write.
     written_wishes: Option<Checked<WishList>>,
     /// How many writes were begun, and how many have ended.
@@ -89,6 +93,7 @@ impl Keeping {
         self.written.clone_from(&kept.teams);
         self.newest = kept.teams;
         self.restored = Some(kept.remembered);
+        (self.vacant, self.written_vacant) = (kept.vacant, kept.vacant);
         self.written_wishes.clone_from(&kept.wishes);
         self.wishes = kept.wishes;
         Ok(())
@@ -142,8 +147,10 @@ impl Keeping {
     }
 
     /// This instance has published a division. `memory` holds the teams that robots had before it.
-    pub(crate) fn note(&mut self, teams: &Checked<Teams>, memory: &Arc<Memory>) {
+    /// `vacant` is how many places are kept for others.
+    pub(crate) fn note(&mut self, teams: &Checked<Teams>, memory: &Arc<Memory>, vacant: u32) {
         self.memory = Arc::clone(memory);
+        self.vacant = Some(vacant);
         self.restored = None;
         self.note_division(teams);
     }
@@ -159,11 +166,13 @@ impl Keeping {
     /// with it: another one may be much later.
     pub(crate) fn memory_at(&mut self, now: Tick, division: &Teams) -> Arc<Memory> {
         let mut memory = Arc::clone(&self.memory);
+        let vacant = self.vacant.take();
         match self.restored.take() {
             Some(restored) => {
                 let is_same = self.newest.as_ref().is_some_and(|last| same_teams(last, division));
                 if is_same {
                     memory = Arc::new(Memory::of(&restored, now));
+                    self.vacant = vacant;
                 }
             }
             None => {
@@ -174,6 +183,11 @@ impl Keeping {
         }
         self.memory = Arc::clone(&memory);
         memory
+    }
+
+    /// How many places are kept for absent teams that nothing is remembered of; none if it is not known.
+    pub(crate) fn vacant(&self) -> Option<u32> {
+        self.vacant
     }
 
     /// Another service remembers a division after which `next_team` was the next number. If nothing is on disk here, what
@@ -231,16 +245,22 @@ impl Keeping {
         Some(self.written_at.map_or(Tick(0), |at| at.after(WRITE_INTERVAL)))
     }
 
+    /// Whether robots may wait for a team that is absent: only then the next process holds them back as well.
+    fn may_hold_moves(&self) -> bool {
+        self.memory.robots().next().is_some() || self.vacant.is_some_and(|seats| seats > 0)
+    }
+
     fn has_other_teams(&self) -> bool {
         match (&self.newest, &self.written) {
             (Some(newest), Some(written)) => {
                 // After a restart the term tells whether the embedder has lived on.
                 newest.embedding.term != written.embedding.term
                     || !same_teams(newest, written)
-                    || self.memory.robots().next().is_some() && newest.held != written.held
+                    || self.may_hold_moves() && newest.held != written.held
                     || newest.limited.as_ref().is_some_and(Limited::stands)
                         != written.limited.as_ref().is_some_and(Limited::stands)
                     || !self.memory.remembers_as(&self.written_memory)
+                    || self.vacant != self.written_vacant
             }
             (newest, _) => newest.is_some(),
         }
@@ -253,10 +273,12 @@ impl Keeping {
         }
         self.written.clone_from(&self.newest);
         self.written_memory = Arc::clone(&self.memory);
+        self.written_vacant = self.vacant;
         self.written_wishes.clone_from(&self.wishes);
         self.failed_at = None;
         let kept = KeptTeams {
             reserved: self.requested,
+            vacant: self.vacant,
             teams: self.newest.clone(),
             remembered: self.restored.clone().unwrap_or_else(|| self.memory.remembered()),
             wishes: self.wishes.clone(),
@@ -374,10 +396,10 @@ mod tests {
     /// Whether a division is written after another one.
     fn is_written(before: &Teams, memory: &Arc<Memory>, after: Teams) -> bool {
         let mut keeping = Keeping::default();
-        keeping.note(&Checked::new_unchecked(before.clone()), memory);
+        keeping.note(&Checked::new_unchecked(before.clone()), memory, 0);
         assert!(keeping.write(at(0)).is_some());
         keeping.ended(at(0), true);
-        keeping.note(&Checked::new_unchecked(after), memory);
+        keeping.note(&Checked::new_unchecked(after), memory, 0);
         keeping.due().is_some()
     }
 
@@ -406,7 +428,8 @@ mod tests {
         let mut keeping = Keeping::default();
         assert!(keeping.restore(b"{}").unwrap_err().contains("no file that this service has kept"));
         let remembered = RememberedTeams::default();
-        let nothing = KeptTeams { reserved: 0, teams: None, remembered, wishes: None };
+        let nothing =
+            KeptTeams { reserved: 0, vacant: None, teams: None, remembered, wishes: None };
         let used_up = |reserved| KeptTeams { reserved, ..nothing.clone() }.encode().unwrap();
         for reserved in [MAX_KEPT_NUMBER + 1, u64::MAX] {
             let problem = keeping.restore(&used_up(reserved)).unwrap_err();

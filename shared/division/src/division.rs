@@ -19,7 +19,7 @@ use muster_numeric::matrix::{DenseMatrix, MatrixError};
 
 use crate::identity::{self, Memory, Named};
 use crate::limited;
-use crate::passes::until_it_stays;
+use crate::passes::{Passed, until_it_stays};
 use crate::rules::TeamRules;
 use crate::seats::last_teams;
 
@@ -116,12 +116,30 @@ pub(crate) struct Cluster {
 /// # Errors
 /// [`DivisionError`] if the vectors, settings or rules do not fit each other.
 pub fn divide(job: &Job) -> Result<Teams, DivisionError> {
+    let mut passed = divide_until_it_stays(job)?;
+    if passed.left.is_empty() {
+        return Ok(passed.found);
+    }
+    let mut job = job.clone();
+    // A team whose robots would leave it again at once does not live again, so that the same is divided as it was.
+    while let Some(memory) = job.memory.without(&passed.left) {
+        job.rules = job.rules.map(|rules| {
+            let rules = TeamRules::clone(&rules);
+            Arc::new(rules.resolved(job.previous.as_deref(), &memory, &job.embedding))
+        });
+        job.memory = Arc::new(memory);
+        passed = divide_until_it_stays(&job)?;
+    }
+    Ok(passed.found)
+}
+
+fn divide_until_it_stays(job: &Job) -> Result<Passed, DivisionError> {
     if let Some(rules) = &job.rules {
         return limited::divide(job, rules);
     }
     let found = divide_freely(job)?;
     if job.staying != Staying::KeepingTeams {
-        return Ok(found);
+        return Ok(Passed { found, left: BTreeSet::new() });
     }
     // Robots that would have divided a team stay with the others, and may then be elsewhere by what is around them.
     Ok(until_it_stays(job.previous.as_deref(), &job.memory, found, |found| {

@@ -20,7 +20,7 @@ use muster_numeric::matrix::DenseMatrix;
 
 use crate::division::{DivisionError, Job, assemble, vectors};
 use crate::identity;
-use crate::passes::{has_same_teams, until_it_stays};
+use crate::passes::{Passed, has_same_teams, until_it_stays};
 use crate::rules::TeamRules;
 use crate::seats::last_of;
 
@@ -31,14 +31,14 @@ const EXCHANGE_SHARE: f64 = 0.5;
 ///
 /// Teams do not swap their ids for a few robots, so that what is found depends on where robots were: from what was found
 /// something better may be found that was out of reach before. So it is divided again until nothing changes any more.
-pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
+pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Passed, DivisionError> {
     let found = divide_from(job, rules)?;
     let first = job.previous.as_deref();
     // Wishes that would change a team that is new, or lives again, count from the next division on: it keeps a robot of before until
     // then.
     let lives = |id: &TeamId| first.is_some_and(|first| first.teams.iter().any(|t| t.id == *id));
     let new = found.teams.iter().map(|team| &team.id).filter(|id| !lives(id));
-    let Some(rules) = rules.without_new_wishes(&new.collect(), &found) else { return Ok(found) };
+    let rules = rules.without_new_wishes(&new.collect(), &found);
     Ok(until_it_stays(first, &job.memory, found, |found| {
         let again = Job { previous: Some(Checked::new_unchecked(found.clone())), ..job.clone() };
         let rules = rules.clone().resolved(Some(found), &job.memory, &job.embedding);

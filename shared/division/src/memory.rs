@@ -127,6 +127,15 @@ impl Memory {
         }
     }
 
+    /// The same without some teams; none if it has none of them.
+    pub(crate) fn without(&self, teams: &BTreeSet<TeamId>) -> Option<Self> {
+        let mut other = self.clone();
+        other.last.retain(|_, (team, _)| !teams.contains(team));
+        other.ended.retain(|team, _| !teams.contains(team));
+        let is_less = (other.last.len(), other.ended.len()) != (self.last.len(), self.ended.len());
+        is_less.then_some(other)
+    }
+
     /// How many robots are remembered; a robot counts once for each team that ended with it.
     pub fn robot_count(&self) -> usize {
         self.last.len() + self.ended.values().map(|ended| ended.members.len()).sum::<usize>()

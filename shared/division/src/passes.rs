@@ -13,25 +13,35 @@ use crate::memory::Memory;
 /// as the first.
 const MAX_PASSES: usize = 8;
 
+/// What a division becomes that is made again and again.
+#[derive(Debug)]
+pub(crate) struct Passed {
+    /// The last one, or the best one of a circle.
+    pub(crate) found: Teams,
+    /// Teams of it that live again, and that the robots with which they were found would leave at once; empty where it stays.
+    pub(crate) left: BTreeSet<TeamId>,
+}
+
 /// The division that `found`, which follows `previous`, becomes as it is divided again, by `again`, until nothing changes any more.
 /// Where a division comes back, the best one since is taken, so that it does not depend on where that began. No team is lost on the
-/// way. A team that lives again keeps most of the robots with which it was found.
+/// way. A team that lives again keeps most of the robots with which it was found: these have given it its id.
 pub(crate) fn until_it_stays(
     previous: Option<&Teams>,
     memory: &Memory,
     mut found: Teams,
     again: impl Fn(&Teams) -> Option<Teams>,
-) -> Teams {
+) -> Passed {
+    let settled = |found| Passed { found, left: BTreeSet::new() };
     let mut earlier: Vec<Teams> = Vec::new();
     for _ in 1..MAX_PASSES {
         if previous.is_some_and(|previous| is_kept(previous, &found)) {
             break;
         }
-        let next = again(&found).filter(|next| has_teams_of(next, &found));
-        let Some(next) = next.filter(|next| revived_teams_stay(previous, memory, &found, next))
-        else {
-            break;
-        };
+        let Some(next) = again(&found).filter(|next| has_teams_of(next, &found)) else { break };
+        let left = left_teams(previous, memory, &found, &next);
+        if !left.is_empty() {
+            return Passed { found, left };
+        }
         if is_kept(&found, &next) {
             found.limited = next.limited;
             break;
@@ -45,10 +55,10 @@ pub(crate) fn until_it_stays(
                 let order = order.then(left.inertia.total_cmp(&right.inertia));
                 order.then_with(|| left.assignments().cmp(right.assignments()))
             });
-            return best.unwrap_or(found);
+            return settled(best.unwrap_or(found));
         }
     }
-    found
+    settled(found)
 }
 
 /// What has changed since the division before.
@@ -81,25 +91,24 @@ fn is_kept(before: &Teams, now: &Teams) -> bool {
         && !now.unassigned.iter().any(|robot| team_of.contains_key(robot))
 }
 
-/// Whether the teams that are not in the division before, but were there once, keep more than half of their robots:
-/// these have given them their ids.
-fn revived_teams_stay(
+/// The teams that are not in the division before, but were there once, and would have half of their robots or fewer.
+fn left_teams(
     previous: Option<&Teams>,
     memory: &Memory,
     before: &Teams,
     now: &Teams,
-) -> bool {
+) -> BTreeSet<TeamId> {
     let last = previous.into_iter().flat_map(|last| &last.teams);
     let known: BTreeSet<&TeamId> = last.map(|team| &team.id).collect();
     let first_new = Numbers::after(previous, memory).first();
     let team_of: BTreeMap<&RobotId, &TeamId> = now.assignments().collect();
-    let stays = |team: &Team| {
+    let is_left = |team: &&Team| {
         let is_there = |member: &&Member| team_of.get(&member.robot) == Some(&&team.id);
         let kept = team.members.iter().filter(is_there).count();
         let is_new = identity::number(&team.id).is_some_and(|number| number >= first_new);
-        is_new || known.contains(&team.id) || 2 * kept > team.members.len()
+        !is_new && !known.contains(&team.id) && 2 * kept <= team.members.len()
     };
-    before.teams.iter().all(stays)
+    before.teams.iter().filter(is_left).map(|team| team.id.clone()).collect()
 }
 
 #[cfg(test)]
@@ -119,7 +128,7 @@ mod tests {
             let at = all.iter().position(|one| is_kept(one, from) && is_kept(from, one)).unwrap();
             all.get(at + 1).or(all.get(back)).cloned()
         };
-        until_it_stays(previous, &Memory::default(), all[0].clone(), again)
+        until_it_stays(previous, &Memory::default(), all[0].clone(), again).found
     }
 
     #[test]
@@ -160,6 +169,20 @@ mod tests {
             ]
         );
         assert!(is_kept(&settled_with(&[with_new.clone(), standing]), &with_new));
+    }
+
+    #[test]
+    fn a_team_that_lives_again_and_would_lose_its_robots_at_once_is_named() {
+        let previous = found(&[("t2", "c")], 1.0);
+        let back = found(&[("t1", "a b"), ("t2", "c")], 2.0);
+        let better = found(&[("t1", "c"), ("t2", "a b")], 1.0);
+        let again = |_: &Teams| Some(better.clone());
+        let passed = until_it_stays(Some(&previous), &Memory::default(), back.clone(), again);
+        assert!(is_kept(&passed.found, &back));
+        assert_eq!(passed.left, BTreeSet::from([TeamId::numbered(1)]));
+        // One that was there may lose its robots.
+        let passed = until_it_stays(Some(&back), &Memory::default(), better.clone(), again);
+        assert!(is_kept(&passed.found, &better) && passed.left.is_empty());
     }
 
     #[test]

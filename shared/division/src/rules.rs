@@ -116,15 +116,8 @@ impl TeamRules {
         Self { needs, ..self.clone() }
     }
 
-    /// The rules without the wishes for some teams that a division does not grant; none if limits or needs name one of the teams.
-    pub(crate) fn without_new_wishes(
-        &self,
-        teams: &BTreeSet<&TeamId>,
-        found: &Teams,
-    ) -> Option<Self> {
-        if teams.iter().any(|team| self.of_team.contains_key(*team) || self.needs.name(team)) {
-            return None;
-        }
+    /// The rules without the wishes for some teams that a division does not grant.
+    pub(crate) fn without_new_wishes(&self, teams: &BTreeSet<&TeamId>, found: &Teams) -> Self {
         let placed: BTreeMap<&RobotId, &TeamId> = found.assignments().collect();
         let counts = |asked: &Asked| {
             let Some(team) = asked.wish.team.as_ref().filter(|team| teams.contains(team)) else {
@@ -139,7 +132,7 @@ impl TeamRules {
         };
         let mut rules = self.clone();
         rules.wishes.retain(counts);
-        Some(rules)
+        rules
     }
 
     /// Whether other rules ask for the same, whichever robots can fill needs.

@@ -188,6 +188,19 @@ impl Vacancies {
         Self { seats: requested.saturating_sub(known), since: None }
     }
 
+    /// So many, as a division of an earlier leader was kept with.
+    #[must_use]
+    pub fn kept(seats: u32) -> Self {
+        // A file may say anything.
+        Self { seats: seats.min(MAX_TEAMS), since: None }
+    }
+
+    /// Whether seats are kept, unless the time for that is over.
+    #[must_use]
+    pub fn are_any(&self) -> bool {
+        self.seats > 0
+    }
+
     /// How many seats are kept. They are as long as a team is remembered, and until all seats are taken in the
     /// last division.
     pub fn count(&mut self, now: Tick, last: Option<&Teams>) -> u32 {

@@ -1,14 +1,18 @@
 //! From vectors to teams that have limits: k-means over the robots with an embedding, whose assignments are exact.
 
+mod groups;
+
+use std::cmp::Reverse;
+use std::collections::BTreeSet;
+
 use muster_numeric::assignment::{
     ApartClasses, Assigner, ClassPrice, Column, CostError, CostMatrix, DivisionError, Need, Pair,
     ValidRules, ValidWishes, Wanted, Wishes, apart_as_classes, assign_with_wishes,
 };
-use muster_numeric::kmeans::{
-    KMeansError, KMeansLimits, KMeansOptions, LimitedKMeansError, count_distinct,
-};
+use muster_numeric::kmeans::{KMeansError, KMeansLimits, KMeansOptions, LimitedKMeansError};
 use muster_numeric::matrix::{DenseMatrix, MatrixError};
 
+use self::groups::{NODE_BUDGET, grouped, means};
 use crate::division::Division;
 use crate::params::ValidDivisionParams;
 
@@ -19,13 +23,6 @@ const ROUNDING_SHARE: f64 = 1e-6;
 /// What a robot without a place costs, in multiples of the largest squared distance that two robots can have: more than
 /// any other robot could save by taking the place.
 const RESERVE_FACTOR: f64 = 4.0;
-
-/// Most flows of one assignment that is to grant wishes of groups: a number and no time, so that a replay is the same.
-/// Those of 500 robots and 8 teams take some tens of milliseconds.
-const NODE_BUDGET: usize = 64;
-
-/// Most assignments of one start that is to grant wishes of groups.
-const MAX_GROUP_ITERATIONS: usize = 20;
 
 /// Why robots could not be divided.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -141,8 +138,11 @@ pub fn divide_within(
         return Ok(warm);
     }
     let cold = grouped(x, limits, found.centroids, 1.0)?;
-    let [of_warm, of_cold] =
-        [&warm, &cold].map(|found| shortfall(limits.rules, limits.groups, &found.labels));
+    let order = |found: &Division| {
+        let filled = found.labels.iter().flatten().collect::<BTreeSet<_>>().len();
+        (shortfall(limits.rules, limits.groups, &found.labels), Reverse(filled))
+    };
+    let (of_warm, of_cold) = (order(&warm), order(&cold));
     let keeps = of_warm < of_cold
         || of_warm == of_cold && warm.inertia <= (1.0 + params.hysteresis) * cold.inertia;
     Ok(if keeps { warm } else { cold })
@@ -151,76 +151,6 @@ pub fn divide_within(
 /// Whether nothing is asked that needs a search.
 fn is_empty(groups: &ValidWishes) -> bool {
     groups.get().wishes.is_empty() && groups.get().needs.is_empty()
-}
-
-/// Robots divided so that the wishes of groups are granted, from some centroids on. The column before costs the share `keep`
-/// only. No team is empty that could have a robot without lacking more of what is soft.
-fn grouped(
-    x: &DenseMatrix,
-    limits: &Limits<'_>,
-    centroids: DenseMatrix,
-    keep: f64,
-) -> Result<Division, LimitedError> {
-    let found = assigned(x, limits, centroids, keep)?;
-    let Some(rules) = without_empty_teams(x, limits.rules, &found.labels) else { return Ok(found) };
-    let filled = assigned(x, &Limits { rules: &rules, ..*limits }, found.centroids.clone(), keep);
-    let lacks = |found: &Division| shortfall(limits.rules, limits.groups, &found.labels);
-    Ok(filled.ok().filter(|filled| lacks(filled) <= lacks(&found)).unwrap_or(found))
-}
-
-/// The rules with a robot in each team that may have one; none if no team is empty, or if there are fewer places than teams.
-fn without_empty_teams(
-    x: &DenseMatrix,
-    rules: &ValidRules,
-    labels: &[Option<usize>],
-) -> Option<ValidRules> {
-    let teams = rules.get().teams.len();
-    let has_robots = |team: usize| labels.contains(&Some(team));
-    if (0..teams).all(has_robots) || count_distinct(x, teams) < teams {
-        return None;
-    }
-    let mut filled = rules.get().clone();
-    for (team, bounds) in filled.teams.iter_mut().enumerate() {
-        let may_be = |robot: usize| rules.allows(robot, Column::Team(team));
-        if bounds.upper > 0 && (0..labels.len()).any(may_be) {
-            bounds.lower = bounds.lower.max(1);
-        }
-    }
-    filled.check().ok()
-}
-
-/// Assignments that grant the wishes of groups, each followed by the means of the teams, until they stay.
-fn assigned(
-    x: &DenseMatrix,
-    limits: &Limits<'_>,
-    mut centroids: DenseMatrix,
-    keep: f64,
-) -> Result<Division, LimitedError> {
-    let mut assigner = Assigner::new();
-    assigner.set_previous(limits.rules, limits.previous);
-    let mut labels: Vec<Option<usize>> = Vec::new();
-    let (mut iterations, mut converged) = (0, false);
-    while iterations < MAX_GROUP_ITERATIONS && !converged {
-        iterations += 1;
-        let (costs, _) = costs(x, &centroids, |robot, column| {
-            let stays = limits.previous.get(robot) == Some(&Some(Column::Team(column)));
-            if stays { keep } else { 1.0 }
-        })?;
-        let rules = limits.rules;
-        let found = assign_with_wishes(&mut assigner, rules, limits.groups, &costs, NODE_BUDGET)?;
-        let team = |column: &Column| match column {
-            Column::Team(team) => Some(*team),
-            Column::Reserve => None,
-        };
-        let next: Vec<Option<usize>> = found.columns.iter().map(team).collect();
-        converged = next == labels;
-        labels = next;
-        centroids = means(x, &labels, &centroids)?;
-    }
-    let far = |(row, label): (&[f64], &Option<usize>)| Some(square(row, centroids.row((*label)?)));
-    // The sum of nothing would be -0.
-    let inertia = x.iter_rows().zip(&labels).filter_map(far).fold(0.0, |sum, square| sum + square);
-    Ok(Division { labels, centroids, inertia, iterations, converged })
 }
 
 /// The prices of the robots that soft minima and soft needs lack.
@@ -241,32 +171,6 @@ fn shortfall(rules: &ValidRules, groups: &ValidWishes, labels: &[Option<usize>])
         Some(price(need.column, need.at_least, need.price?, &has))
     });
     of_classes.chain(of_needs).sum()
-}
-
-/// The mean row of each label; of a label without rows the one that it had.
-#[expect(clippy::cast_precision_loss, reason = "there are fewer than 2⁵³ robots")]
-fn means(
-    x: &DenseMatrix,
-    labels: &[Option<usize>],
-    before: &DenseMatrix,
-) -> Result<DenseMatrix, MatrixError> {
-    let mut sums = vec![0.0; before.rows() * x.cols()];
-    let mut sizes = vec![0_usize; before.rows()];
-    for (row, label) in x.iter_rows().zip(labels) {
-        let Some(label) = label.filter(|label| *label < sizes.len()) else { continue };
-        sizes[label] += 1;
-        for (sum, value) in sums[label * x.cols()..].iter_mut().zip(row) {
-            *sum += value;
-        }
-    }
-    for (label, size) in sizes.into_iter().enumerate() {
-        let sums = &mut sums[label * x.cols()..(label + 1) * x.cols()];
-        if size == 0 {
-            sums.copy_from_slice(before.row(label));
-        }
-        sums.iter_mut().for_each(|sum| *sum /= size.max(1) as f64);
-    }
-    DenseMatrix::new(before.rows(), x.cols(), sums)
 }
 
 fn square(row: &[f64], centroid: &[f64]) -> f64 {
@@ -414,8 +318,6 @@ pub fn rows_of(x: &DenseMatrix, rows: &[usize]) -> Result<DenseMatrix, MatrixErr
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
-
     use muster_numeric::assignment::{Bounds, ClassLimit, Relation, Rules, Wish};
 
     use super::*;
@@ -453,6 +355,9 @@ mod tests {
     fn no_team_is_left_empty_for_a_group() {
         assert_eq!(teams_of(&[0.0, 1.0, 10.0, 10.1], 3, &[0, 1]), 3);
         assert_eq!(teams_of(&[0.0, 1.0, 10.0], 2, &[0, 2]), 2);
+        // As many as there can be beside a group.
+        assert_eq!(teams_of(&[0.0, 1.0, 10.0], 3, &[0, 2]), 2);
+        assert_eq!(teams_of(&[0.0, 1.0, 2.0, 10.0], 4, &[0, 1, 3]), 2);
         // Robots in one place are one team, and a group of all cannot be two.
         assert_eq!(teams_of(&[1.0, 1.0, 1.0], 2, &[0, 1]), 1);
         assert_eq!(teams_of(&[0.0, 1.0, 10.0], 2, &[0, 1, 2]), 1);

@@ -4,9 +4,10 @@
 //! off or was damaged is recognised, and is not used.
 //!
 //! Of the clusterer ([`KeptTeams`], [`MAGIC`], [`VERSION`]) the content is the end of the reserved numbers in eight bytes with the
-//! lowest first; then, each after its length in four, the wishes as they are on the bus, and what is remembered of earlier
-//! teams; and the division as it is on the bus. What there was not is empty. Version 3 does not have what is remembered, and is read as
-//! well. Of the embedder ([`KeptShape`], [`SHAPE_MAGIC`], [`SHAPE_VERSION`]) it is the number of teams and K, in four bytes each.
+//! lowest first; how many places are kept for teams of which no more is known, in four, all ones where that is not known; then, each
+//! after its length in four, the wishes as they are on the bus, and what is remembered of earlier teams; and the division as it is on
+//! the bus. What there was not is empty. Version 4 does not have the places, version 3 not what is remembered either, and both are read
+//! as well. Of the embedder ([`KeptShape`], [`SHAPE_MAGIC`], [`SHAPE_VERSION`]) it is the number of teams and K, in four bytes each.
 
 use muster_model::content::{Checked, Content};
 use muster_model::limits::MAX_ROBOTS;
@@ -21,10 +22,16 @@ use crate::recording::{framed, unframed};
 pub const MAGIC: [u8; 8] = *b"\xB7mustkpt";
 
 /// Version of its content. Any change of its types is a new version.
-pub const VERSION: u8 = 4;
+pub const VERSION: u8 = 5;
 
 /// The version before, which is read as well.
+const WITHOUT_VACANT: u8 = 4;
+
+/// The one before that.
 const WITHOUT_REMEMBERED: u8 = 3;
+
+/// Stands for a number of places that is not known.
+const UNKNOWN: u32 = u32::MAX;
 
 /// The first bytes of the file of the embedder.
 pub const SHAPE_MAGIC: [u8; 8] = *b"\xB7mustshp";
@@ -140,6 +147,8 @@ impl KeptShape {
 pub struct KeptTeams {
     /// All numbers of teams below this one may have been given; they are never given again.
     pub reserved: u64,
+    /// How many places are kept for absent teams that are not among the remembered ones; none if it is not known.
+    pub vacant: Option<u32>,
     /// The last division, if there was one.
     pub teams: Option<Checked<Teams>>,
     /// Teams that robots had before it.
@@ -155,6 +164,7 @@ impl KeptTeams {
     /// [`EnvelopeError`] if the division is larger than [`MAX_KEPT`] bytes.
     pub fn encode(&self) -> Result<Vec<u8>, EnvelopeError> {
         let mut content = self.reserved.to_le_bytes().to_vec();
+        content.extend(self.vacant.unwrap_or(UNKNOWN).to_le_bytes());
         let wishes =
             self.wishes.as_ref().map_or(Ok(Vec::new()), |list| envelope::encode(&**list))?;
         append(&mut content, &wishes)?;
@@ -173,17 +183,24 @@ impl KeptTeams {
     /// [`KeptError`] names what is wrong with them.
     pub fn decode(bytes: &[u8]) -> Result<Self, KeptError> {
         let damaged = |problem: &dyn std::fmt::Display| KeptError::Damaged(problem.to_string());
-        let (version, content) = content(MAGIC, &[VERSION, WITHOUT_REMEMBERED], bytes)?;
+        let versions = [VERSION, WITHOUT_VACANT, WITHOUT_REMEMBERED];
+        let (version, content) = content(MAGIC, &versions, bytes)?;
         let broken = || damaged(&"it breaks off");
         let (reserved, rest) = content.split_first_chunk().ok_or_else(broken)?;
         let reserved = u64::from_le_bytes(*reserved);
+        let (vacant, rest) = match version {
+            VERSION => rest.split_first_chunk().ok_or_else(broken)?,
+            _ => (&UNKNOWN.to_le_bytes(), rest),
+        };
+        let vacant = Some(u32::from_le_bytes(*vacant)).filter(|vacant| *vacant != UNKNOWN);
         let (wishes, rest) = part(rest).ok_or_else(broken)?;
         let (remembered, division) = match version {
             WITHOUT_REMEMBERED => (&[][..], rest),
             _ => part(rest).ok_or_else(broken)?,
         };
+        let remembered_nothing = RememberedTeams::default();
         let mut kept =
-            Self { reserved, teams: None, remembered: RememberedTeams::default(), wishes: None };
+            Self { reserved, vacant, teams: None, remembered: remembered_nothing, wishes: None };
         if !wishes.is_empty() {
             let list: WishList = envelope::decode(wishes).map_err(|error| damaged(&error))?;
             kept.wishes = Some(Checked::new(list).map_err(|error| damaged(&error))?);
@@ -259,6 +276,7 @@ mod tests {
         let wishes = WishList { header: teams.header.clone(), wishes: vec![wish] };
         KeptTeams {
             reserved: 108,
+            vacant: Some(2),
             teams: Some(Checked::new(teams).unwrap()),
             remembered: RememberedTeams {
                 last: vec![(RobotId::new("r2").unwrap(), TeamId::numbered(6))],
@@ -273,8 +291,13 @@ mod tests {
     fn what_is_kept_is_read_back() {
         let alone = KeptTeams { teams: None, ..kept() };
         let nothing = RememberedTeams::default();
-        let numbers =
-            KeptTeams { reserved: 5, teams: None, remembered: nothing.clone(), wishes: None };
+        let numbers = KeptTeams {
+            reserved: 5,
+            vacant: None,
+            teams: None,
+            remembered: nothing.clone(),
+            wishes: None,
+        };
         for kept in [kept(), alone, KeptTeams { remembered: nothing, ..kept() }, numbers] {
             assert_eq!(KeptTeams::decode(&kept.encode().unwrap()), Ok(kept));
         }
@@ -283,19 +306,23 @@ mod tests {
     #[test]
     fn the_bytes_are_those_of_the_version() {
         let remembered = RememberedTeams::default();
-        let kept = KeptTeams { reserved: 300, teams: None, remembered, wishes: None };
+        let kept = KeptTeams { reserved: 300, vacant: None, teams: None, remembered, wishes: None };
         let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
         let bytes = kept.encode().unwrap();
         assert_eq!(
             hex(&bytes),
-            "b76d7573746b70740410000000a4c28ad82c010000000000000000000000000000"
+            "b76d7573746b70740514000000c31ed0f52c01000000000000ffffffff0000000000000000"
         );
-        let before = "b76d7573746b7074030c00000076061c5d2c0100000000000000000000";
-        let before: Vec<u8> = (0..before.len())
-            .step_by(2)
-            .map(|at| u8::from_str_radix(&before[at..at + 2], 16).unwrap())
-            .collect();
-        assert_eq!(KeptTeams::decode(&before), Ok(kept), "the version before is read");
+        for before in [
+            "b76d7573746b70740410000000a4c28ad82c010000000000000000000000000000",
+            "b76d7573746b7074030c00000076061c5d2c0100000000000000000000",
+        ] {
+            let before: Vec<u8> = (0..before.len())
+                .step_by(2)
+                .map(|at| u8::from_str_radix(&before[at..at + 2], 16).unwrap())
+                .collect();
+            assert_eq!(KeptTeams::decode(&before), Ok(kept.clone()), "a version before is read");
+        }
     }
 
     #[test]

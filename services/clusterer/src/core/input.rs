@@ -182,8 +182,11 @@ impl Clusterer {
         }
         if let Some(division) = &self.division {
             self.memory = self.keeping.memory_at(now, division);
-            self.vacancies = Vacancies::of(division, &self.memory);
-            if self.memory.robots().next().is_some() {
+            self.vacancies = match self.keeping.vacant() {
+                Some(seats) => Vacancies::kept(seats),
+                None => Vacancies::of(division, &self.memory),
+            };
+            if self.memory.robots().next().is_some() || self.vacancies.are_any() {
                 self.moves = MoveDwell::resumed(now, &division.held);
                 // How long ago they left is not known: others may follow.
                 self.arrivals.note_loss(now);

@@ -157,7 +157,7 @@ impl Clusterer {
         self.division = Some(teams.clone());
         self.inform_in_rotation(context, &changed);
         if context.is_leading() {
-            self.keeping.note(&teams, &self.memory);
+            self.keeping.note(&teams, &self.memory, vacant);
             self.report_changes(context, &teams, absent);
             let before = self.received_by_others.as_deref();
             let filled = filled(before, &teams, &needs, self.roster.as_deref());

@@ -37,10 +37,15 @@ impl DerefMut for Bench {
 impl Bench {
     /// One to which nothing has happened.
     pub fn new(settings: ClustererSettings) -> Self {
+        Self::begun(START, settings)
+    }
+
+    /// The same, whose process begins at another time.
+    pub fn begun(now: Tick, settings: ClustererSettings) -> Self {
         Self(testkit::Bench::new(Start {
             fleet: FleetId::new("f").unwrap(),
             instance: InstanceId::new("i").unwrap(),
-            now: START,
+            now,
             settings,
             stored: Stored::default(),
         }))

@@ -21,6 +21,7 @@ mod properties;
 mod publishing;
 mod recovery;
 mod solve;
+mod standing;
 mod wishes;
 
 use std::collections::{BTreeMap, BTreeSet};
