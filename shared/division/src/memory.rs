@@ -92,6 +92,10 @@ impl Memory {
         if !placed.is_empty() && !is_any_known {
             self.newcomers_from = self.next_team;
         }
+        if after.teams.iter().any(|team| !self.is_of_newcomers(&team.id)) {
+            // Robots of before are back: all are one fleet from now on.
+            self.newcomers_from = 0;
+        }
         for team in before.into_iter().flat_map(|before| &before.teams) {
             for member in team.members.iter().filter(|m| !placed.contains(&m.robot)) {
                 self.last.insert(member.robot.clone(), (team.id.clone(), now));
@@ -147,10 +151,16 @@ impl Memory {
         times.chain(self.ended.values().map(|ended| ended.at)).any(|at| is_over(now, at))
     }
 
-    /// Forgets what was remembered for long enough.
+    /// Forgets what was remembered for long enough. A robot that left its team long before that ended is none of its robots then:
+    /// most of them may be away for the rest of their time.
     pub fn forget(&mut self, now: Tick) {
-        self.last.retain(|_, (_, at)| !is_over(now, *at));
         self.ended.retain(|_, ended| !is_over(now, ended.at));
+        for (robot, (team, _)) in self.last.iter().filter(|(_, (_, at))| is_over(now, *at)) {
+            if let Some(ended) = self.ended.get_mut(team) {
+                ended.members.remove(robot);
+            }
+        }
+        self.last.retain(|_, (_, at)| !is_over(now, *at));
     }
 
     /// The last team of a robot that left it.
@@ -220,6 +230,7 @@ fn is_over(now: Tick, at: Tick) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identity::tests::division;
 
     /// A memory of `left` robots and of one ended team for each count of members; higher numbers are newer.
     fn memory(left: usize, ended: &[usize]) -> Memory {
@@ -249,6 +260,36 @@ mod tests {
         for other in [memory(2, &[2, 3]), memory(3, &[2]), memory(3, &[2, 2])] {
             assert!(!after.remembers_as(&other));
         }
+    }
+
+    #[test]
+    fn a_team_is_away_for_its_whole_time_though_one_of_its_robots_left_long_before() {
+        let at = |seconds| Tick(1_000_000).after(Duration::from_secs(seconds));
+        let [both, one, other] = [("t1", "a b"), ("t1", "a"), ("t2", "c")];
+        let mut memory = Memory::default();
+        let divisions = [[both, other], [one, other]].map(|teams| division(&teams, "", 3));
+        memory.follow(at(0), Some(&divisions[0]), &divisions[1]);
+        memory.follow(at(20), Some(&divisions[1]), &division(&[other], "", 3));
+        for (seconds, is_lost) in [(59, true), (61, true), (79, true), (80, false)] {
+            memory.forget(at(seconds));
+            let lost = memory.lost_teams(&BTreeSet::new()).count();
+            assert_eq!(lost, usize::from(is_lost), "after {seconds} s");
+        }
+    }
+
+    #[test]
+    fn newcomers_are_a_fleet_of_their_own_until_earlier_robots_are_back() {
+        let [first, second] = [("t1", "a"), ("t2", "b")];
+        let mut memory = Memory::default();
+        let (one, other) = (division(&[first], "", 2), division(&[second], "", 3));
+        memory.follow(Tick(0), None, &one);
+        memory.follow(Tick(1), Some(&one), &other);
+        let t1 = TeamId::numbered(1);
+        assert!(!memory.is_of_newcomers(&t1));
+        let both = division(&[first, second], "", 3);
+        memory.follow(Tick(2), Some(&other), &both);
+        memory.follow(Tick(3), Some(&both), &other);
+        assert!(memory.is_of_newcomers(&t1), "it has been there with them");
     }
 
     #[test]

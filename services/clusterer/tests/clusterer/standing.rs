@@ -153,6 +153,30 @@ impl Run {
         self.read();
     }
 
+    /// Nothing changes until all have agreed for a while.
+    fn rest(&mut self) {
+        let mut unchanged = 0;
+        for second in 0.. {
+            let before = self.last.as_deref().map(short);
+            self.second();
+            unchanged = if self.last.as_deref().map(short) == before { unchanged + 1 } else { 0 };
+            if second >= REST_SECONDS && unchanged >= WRITTEN_SECONDS {
+                break;
+            }
+        }
+    }
+
+    /// The robots for which `is_there` holds are received.
+    fn receive_some(&mut self, is_there: impl Fn(&RobotId) -> bool) {
+        let newest = self.newest.clone();
+        let rows = newest.robots.iter().zip(newest.values.chunks(2));
+        let rows = rows.filter(|(robot, _)| is_there(robot));
+        let rows = rows.map(|(robot, place)| (robot.clone(), place.to_vec(), false));
+        let mut embedding = Embedding::clone(&from_rows(1, 1, rows.collect()));
+        embedding.quality.teams_shown = newest.quality.teams_shown;
+        self.receive(&embedding);
+    }
+
     /// The settings that it answers with.
     fn settings(&mut self) -> ClustererSettings {
         let answer = self.bench.get("service/clusterer/settings", None).unwrap();
@@ -182,7 +206,68 @@ impl Run {
     }
 }
 
+/// The number of a robot.
+fn number(robot: &RobotId) -> usize {
+    usize::from(robot.as_str().as_bytes()[1] - b'0')
+}
+
 proptest! {
+    #[test]
+    fn a_team_that_is_lost_moves_no_other_robot_and_comes_back(
+        acts in prop::collection::vec(act(), 1..12),
+        lost in 0_usize..4,
+        order in prop::collection::vec((0_u8..8, 0_u8..6), usize::from(ROBOTS)),
+        lasts in 3_u8..50,
+    ) {
+        let bench = Bench::leading(ClustererSettings { dwell_s: 0.5, ..teams(2) });
+        let mut run = Run::new(bench, 1, rows(&[], 1));
+        let has_rules = |act: &Act| match act {
+            Act::Wish(..) => true,
+            Act::Settings(patch) => patch.get("teams").is_none() && patch.get("dwell_s").is_none(),
+            _ => false,
+        };
+        for act in acts.into_iter().filter(|act| !has_rules(act)) {
+            run.act(act);
+        }
+        // No other team is absent by then.
+        run.rest();
+        run.bench.wait(60.0);
+        run.rest();
+        let Some(before) = run.last.clone() else { return Ok(()) };
+        let is_full = before.requested as usize == before.teams.len() && before.held.is_empty();
+        if before.teams.len() < 2 || !is_full {
+            return Ok(());
+        }
+        let team = &before.teams[lost % before.teams.len()];
+        let is_lost = |robot: &RobotId| team.members.iter().any(|member| member.robot == *robot);
+        let moved = |now: Option<&Teams>| {
+            let now: BTreeMap<&RobotId, &TeamId> = now.into_iter().flat_map(Teams::assignments).collect();
+            let before = before.assignments();
+            before.filter(|(robot, team)| now.get(robot).is_some_and(|now| now != team)).count()
+        };
+        // They leave one after the other, and come back one after the other.
+        for step in 0..8 {
+            run.receive_some(|robot| !is_lost(robot) || order[number(robot)].0 > step);
+            run.bench.wait(0.25);
+            run.read();
+            prop_assert_eq!(moved(run.last.as_deref()), 0, "as they leave");
+        }
+        for _ in 0..lasts {
+            run.receive_some(|robot| !is_lost(robot));
+            run.bench.wait(1.0);
+            run.read();
+            prop_assert_eq!(moved(run.last.as_deref()), 0, "while they are away");
+        }
+        for step in 0..6 {
+            run.receive_some(|robot| !is_lost(robot) || order[number(robot)].1 <= step);
+            run.bench.wait(0.25);
+            run.read();
+            prop_assert_eq!(moved(run.last.as_deref()), 0, "as they return");
+        }
+        run.rest();
+        prop_assert_eq!(run.last.as_deref().map(short), Some(short(&before)));
+    }
+
     #[test]
     fn a_restart_at_rest_changes_no_team(
         acts in prop::collection::vec(act(), 1..20),
@@ -193,26 +278,13 @@ proptest! {
         for act in acts {
             run.act(act);
         }
-        let mut unchanged = 0;
-        for second in 0.. {
-            let before = run.last.as_deref().map(short);
-            run.second();
-            unchanged = if run.last.as_deref().map(short) == before { unchanged + 1 } else { 0 };
-            if second >= REST_SECONDS && unchanged >= WRITTEN_SECONDS {
-                break;
-            }
-        }
+        run.rest();
         if run.last.is_none() || run.newest.robots.is_empty() || run.names_team_to_come() {
             return Ok(());
         }
         let mut next = run.restarted();
         // Some robots are there a moment before the others.
-        let embedding = next.newest.clone();
-        let early = |robot: &RobotId| first[usize::from(robot.as_str().as_bytes()[1] - b'0')];
-        let rows = embedding.robots.iter().zip(embedding.values.chunks(2));
-        let rows = rows.filter(|(robot, _)| early(robot));
-        let rows = rows.map(|(robot, place)| (robot.clone(), place.to_vec(), false));
-        next.receive(&from_rows(1, 1, rows.collect()));
+        next.receive_some(|robot| first[number(robot)]);
         next.bench.wait(0.4);
         for _ in 0..RESTART_SECONDS {
             next.second();
