@@ -355,7 +355,7 @@ mod tests {
     fn no_team_is_left_empty_for_a_group() {
         assert_eq!(teams_of(&[0.0, 1.0, 10.0, 10.1], 3, &[0, 1]), 3);
         assert_eq!(teams_of(&[0.0, 1.0, 10.0], 2, &[0, 2]), 2);
-        // As many as there can be beside a group.
+        // As many as a group leaves room for.
         assert_eq!(teams_of(&[0.0, 1.0, 10.0], 3, &[0, 2]), 2);
         assert_eq!(teams_of(&[0.0, 1.0, 2.0, 10.0], 4, &[0, 1, 3]), 2);
         // Robots in one place are one team, and a group of all cannot be two.

@@ -1,4 +1,4 @@
-//! What all have agreed on stands when the power is cut, whatever led to it.
+//! What all have agreed on stands when the power is cut or a team is lost, whatever led to it.
 
 use std::time::Duration;
 
@@ -6,13 +6,13 @@ use serde_json::{Value, json};
 
 use super::*;
 
-/// How long nothing changes before the restart: what is held back for a while has followed.
+/// How long nothing changes before something is lost: what is held back for a while has followed.
 const REST_SECONDS: usize = 14;
 
-/// How long all have agreed by then: it is on the disk.
+/// How long all have agreed by then: what they have agreed on is on the disk.
 const WRITTEN_SECONDS: usize = 5;
 
-/// How long after it all robots have their teams: they are awaited for some seconds.
+/// How long after the restart all robots have their teams: they are awaited for some seconds.
 const RESTART_SECONDS: usize = 20;
 
 /// Robots of the fleet, as `r0` to `r5`.
@@ -193,7 +193,7 @@ impl Run {
         named.map(|team| team.as_str()[1..].parse::<u64>().unwrap()).any(|number| number >= next)
     }
 
-    /// What of it is lost, and begun again by the disk.
+    /// The next process, which has what is on the disk of this one.
     fn restarted(&mut self) -> Self {
         let settings = self.settings();
         let kept = self.bench.kept.clone();
