@@ -1,7 +1,6 @@
 //! A router and the four services, each a process that can be killed and started alone.
 
 use std::collections::BTreeMap;
-use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -10,6 +9,7 @@ use tempfile::TempDir;
 
 use crate::access::{Access, OPERATOR, Security};
 use crate::client::{Client, client_of, with_retries};
+use crate::ports::free_endpoint;
 use crate::process::{Process, run};
 
 /// The services in the order of the data's path.
@@ -118,15 +118,6 @@ pub fn robots_of(scenario: &[&str]) -> anyhow::Result<BTreeMap<String, String>> 
         Some((robot.to_owned(), group.to_owned()))
     };
     Ok(out.lines().filter_map(robot).collect())
-}
-
-/// An endpoint on loopback whose port is free.
-///
-/// # Errors
-/// If there is none.
-pub fn free_endpoint() -> anyhow::Result<String> {
-    let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
-    Ok(format!("tcp/127.0.0.1:{port}"))
 }
 
 /// Starts a router and waits until it listens.

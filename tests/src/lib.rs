@@ -5,7 +5,7 @@
 //! stops programs; [`cluster`] is a router with the four services, each of which can be killed alone;
 //! [`hosts`] puts them on three hosts and breaks the links between; [`manager`] is what they report
 //! to a service manager; [`process_stats`] is what they take; [`neighbours`] keep the processors busy;
-//! [`latency`] measures the way from a pose to a team, [`joining`] how long a fleet takes to join,
+//! [`ports`] are those that nothing else takes; [`latency`] measures the way from a pose to a team, [`joining`] how long a fleet takes to join,
 //! [`ros_load`] plays fleets of ROS 2, and [`many_fleets`] a host full of fleets.
 //!
 //! And the [`simulation`]: the cores of all services in one thread, on a virtual bus, with seeded
@@ -20,6 +20,7 @@ pub mod latency;
 pub mod manager;
 pub mod many_fleets;
 pub mod neighbours;
+pub mod ports;
 pub mod process;
 pub mod process_stats;
 pub mod relay;

@@ -7,7 +7,8 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use muster_tests::access::{OPERATOR, Security, VIEWER};
-use muster_tests::cluster::{Cluster, ClusterOptions, free_endpoint, robots_of};
+use muster_tests::cluster::{Cluster, ClusterOptions, robots_of};
+use muster_tests::ports::{free_address, free_endpoint};
 use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
 
@@ -38,11 +39,6 @@ fn chromium() -> PathBuf {
                   `npm install --prefix target/web` of services/console/tests/package.json";
     assert!(packages().join("playwright-core").exists(), "playwright-core is missing: {remedy}");
     browser.unwrap_or_else(|| panic!("there is no Chromium: {remedy}"))
-}
-
-fn free_address() -> String {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    listener.local_addr().unwrap().to_string()
 }
 
 fn start_console(cluster: &Cluster, address: &str, further: &[&str]) -> Process {
@@ -132,7 +128,7 @@ fn console_shows_and_commands_a_fleet_in_a_browser() {
     let file = long_name(&cluster);
     let _long = cluster.robots(&["--file", file.to_str().unwrap()]).unwrap();
 
-    let (address, viewer_address) = (free_address(), free_address());
+    let (address, viewer_address) = (free_address().unwrap(), free_address().unwrap());
     let mut console = Some(start_console(&cluster, &address, &["--operator", "kim"]));
     let access = cluster.folder().join("access.toml");
     std::fs::write(&access, "[[viewer]]\ntoken = \"wall-wall-wall-wall-wall-wall\"\n").unwrap();
@@ -177,7 +173,7 @@ fn console_with_the_certificate_of_a_viewer_commands_nothing_whatever_its_code_s
     .unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
     // The console takes itself for that of an operator, and its page does; its certificate is that of a viewer.
-    let (by_viewer, by_operator) = (free_address(), free_address());
+    let (by_viewer, by_operator) = (free_address().unwrap(), free_address().unwrap());
     let identity = |name: &str| cluster.identity(name).unwrap().to_str().unwrap().to_owned();
     let start = |address: &str, name: &str| {
         let identity = identity(name);
@@ -230,7 +226,7 @@ fn get(address: &str, path: &str) -> String {
 #[test]
 fn console_comes_along_with_up_and_demo() {
     let folder = tempfile::tempdir().unwrap();
-    let (endpoint, address) = (free_endpoint().unwrap(), free_address());
+    let (endpoint, address) = (free_endpoint().unwrap(), free_address().unwrap());
     let up = [
         "up",
         "--router",

@@ -10,11 +10,12 @@ use std::time::{Duration, Instant};
 
 use muster_model::alert::AlertKind;
 use muster_model::event::Severity;
-use muster_tests::cluster::{SERVICES, free_endpoint};
+use muster_tests::cluster::SERVICES;
+use muster_tests::ports::{free_address, free_endpoint};
 use muster_tests::process::{Process, prometheus_program, python};
 use serde_json::Value;
 
-use crate::observe::{free_address, get};
+use crate::observe::get;
 
 /// How long something may take that should come soon, on a busy machine.
 const SOON: Duration = Duration::from_secs(60);
@@ -201,7 +202,7 @@ impl Watched {
     fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let (endpoint, fleet, prometheus) =
-            (free_endpoint().unwrap(), free_address(), free_address());
+            (free_endpoint().unwrap(), free_address().unwrap(), free_address().unwrap());
         let up = [
             "up",
             "--router",

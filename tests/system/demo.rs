@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use muster_tests::client::Client;
-use muster_tests::cluster::{free_endpoint, start_router};
+use muster_tests::cluster::start_router;
+use muster_tests::ports::free_endpoint;
 use muster_tests::process::{Process, run};
 use serde_json::Value;
 

@@ -2,12 +2,11 @@
 //! service managers find nothing to complain of.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use muster_tests::cluster::free_endpoint;
+use muster_tests::ports::{free_address, free_endpoint};
 use muster_tests::process::{Process, program, run};
 use serde_json::Value;
 
@@ -328,7 +327,7 @@ fn the_health_check_of_each_container_tells_a_process_that_hangs() {
     for name in SERVICES.into_iter().chain(["router", "console", "foxglove"]) {
         let own = &containers[name];
         assert!(own["environment"]["MUSTER_HTTP"].is_string(), "{name} has no port to ask");
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+        let port = free_address().unwrap();
         let environment = [("MUSTER_HTTP", port.as_str())];
         let command = texts(&own["command"]);
         let arguments = match name {

@@ -6,7 +6,8 @@ use std::net::TcpListener;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use muster_tests::client::Client;
-use muster_tests::cluster::{Cluster, Robots, SERVICES, free_endpoint, start_router};
+use muster_tests::cluster::{Cluster, Robots, SERVICES, start_router};
+use muster_tests::ports::free_endpoint;
 use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
 

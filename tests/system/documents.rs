@@ -9,9 +9,9 @@ use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, HistorianSettings, IngestSettings,
     PlannerSettings, default_weight,
 };
-use muster_tests::cluster::free_endpoint;
 use muster_tests::hosts::fault::FAULTS;
 use muster_tests::hosts::run_plan::Measured;
+use muster_tests::ports::free_endpoint;
 use muster_tests::process::run;
 use serde_json::{Map, Value, json};
 

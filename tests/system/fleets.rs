@@ -6,11 +6,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use muster_tests::client::{Client, Division, division};
-use muster_tests::cluster::{free_endpoint, robots_of, start_router};
+use muster_tests::cluster::{robots_of, start_router};
+use muster_tests::ports::{free_address, free_endpoint};
 use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
 
-use crate::observe::{free_address, get, is, samples, until, value};
+use crate::observe::{get, is, samples, until, value};
 
 /// How long something may take that should come soon, on a busy machine.
 const SOON: Duration = Duration::from_secs(30);
@@ -42,7 +43,7 @@ impl Host {
 
     fn start_with(fleets: &str, flags: &[&str], prepare: impl FnOnce(&Path)) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let (endpoint, address) = (free_endpoint().unwrap(), free_address());
+        let (endpoint, address) = (free_endpoint().unwrap(), free_address().unwrap());
         let router = start_router(&endpoint, folder.path()).unwrap();
         prepare(&folder.path().join("state"));
         let state = folder.path().join("state").to_string_lossy().into_owned();

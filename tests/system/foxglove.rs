@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 
 use muster_tests::access::{OPERATOR, VIEWER};
 use muster_tests::client::{Client, Watch};
-use muster_tests::cluster::{Cluster, free_endpoint, robots_of};
+use muster_tests::cluster::{Cluster, robots_of};
+use muster_tests::ports::{free_address, free_endpoint};
 use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
 
@@ -34,11 +35,6 @@ fn packages() -> PathBuf {
          services/console/tests/package.json"
     );
     packages
-}
-
-fn free_address() -> String {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    listener.local_addr().unwrap().to_string()
 }
 
 fn node(script: &str, arguments: &[&str]) -> Command {
@@ -111,7 +107,7 @@ async fn foxglove_shows_and_changes_a_fleet_in_a_client_of_others() {
     let three = |value: &Value| list(&value["teams"]).len() == 3;
     divisions.until("three teams", SERVES_WITHIN, three).await.unwrap();
 
-    let (address, read_only) = (free_address(), free_address());
+    let (address, read_only) = (free_address().unwrap(), free_address().unwrap());
     let served = start_foxglove(&cluster, OPERATOR, &address, &["--allow-changes"]);
     let _guests = start_foxglove(&cluster, VIEWER, &read_only, &[]);
     let mut stalled = None;
@@ -208,7 +204,7 @@ fn children(parent: u32) -> Vec<u32> {
 #[test]
 fn foxglove_comes_along_with_up_if_it_is_asked_for() {
     let folder = tempfile::tempdir().unwrap();
-    let (endpoint, address) = (free_endpoint().unwrap(), free_address());
+    let (endpoint, address) = (free_endpoint().unwrap(), free_address().unwrap());
     let up = ["up", "--router", "--listen", &endpoint, "--state-directory", "none", "--no-console"];
     let with = [&up[..], &["--with", "foxglove"]].concat();
     let environment = [("MUSTER_FOXGLOVE_SERVE", address.as_str())];

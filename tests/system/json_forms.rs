@@ -7,7 +7,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use muster_tests::client::{division, now};
-use muster_tests::cluster::{Cluster, free_endpoint};
+use muster_tests::cluster::Cluster;
+use muster_tests::ports::free_endpoint;
 use muster_tests::process::run;
 use serde_json::{Map, Value, json};
 

@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use muster_tests::client::{Client, division};
-use muster_tests::cluster::{Cluster, free_endpoint, start_router};
+use muster_tests::cluster::{Cluster, start_router};
+use muster_tests::ports::free_endpoint;
 use muster_tests::process::{Process, python};
 use serde_json::{Value, json};
 

@@ -2,8 +2,9 @@
 
 use std::time::Duration;
 
-use muster_tests::cluster::{SERVICES, free_endpoint, start_router};
+use muster_tests::cluster::{SERVICES, start_router};
 use muster_tests::manager::Manager;
+use muster_tests::ports::free_endpoint;
 use muster_tests::process::Process;
 
 const SOON: Duration = Duration::from_secs(20);

@@ -7,17 +7,13 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use muster_tests::cluster::{SERVICES, free_endpoint, start_router};
+use muster_tests::cluster::{SERVICES, start_router};
+use muster_tests::ports::{free_address, free_endpoint};
 use muster_tests::process::{Process, run};
 use serde_json::Value;
 
 /// How long something may take that should come soon, on a busy machine.
 const SOON: Duration = Duration::from_secs(30);
-
-/// An address on loopback whose port is free.
-pub(crate) fn free_address() -> String {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string()
-}
 
 /// The status and the body that a path is answered with; none while the port is closed.
 pub(crate) fn get(address: &str, path: &str) -> Option<(u16, String)> {
@@ -81,7 +77,7 @@ pub(crate) fn value(samples: &Samples, name: &str, labels: &[(&str, &str)]) -> O
 
 #[test]
 fn a_router_outage_takes_readiness_and_not_life() {
-    let (endpoint, address) = (free_endpoint().unwrap(), free_address());
+    let (endpoint, address) = (free_endpoint().unwrap(), free_address().unwrap());
     let folder = tempfile::tempdir().unwrap();
     let up = ["up", "--connect", &endpoint, "--http", &address, "--state-directory", "none"];
     let mut up = Process::start("muster", &up, &[], folder.path()).unwrap();
@@ -131,7 +127,7 @@ fn a_service_without_its_input_is_not_ready() {
     let endpoint = free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let _router = start_router(&endpoint, folder.path()).unwrap();
-    let address = free_address();
+    let address = free_address().unwrap();
     let arguments = ["--connect", &endpoint, "--http", &address, "--state-directory", "none"];
     let _alone = Process::start("muster-embedder", &arguments, &[], folder.path()).unwrap();
     until("it misses its roster", || {
@@ -146,7 +142,7 @@ fn a_service_without_its_input_is_not_ready() {
 
 #[test]
 fn a_service_whose_jobs_all_fail_is_not_ready_until_one_does_not() {
-    let (endpoint, address) = (free_endpoint().unwrap(), free_address());
+    let (endpoint, address) = (free_endpoint().unwrap(), free_address().unwrap());
     let folder = tempfile::tempdir().unwrap();
     let _router = start_router(&endpoint, folder.path()).unwrap();
     let up = ["up", "--connect", &endpoint, "--http", &address, "--state-directory", "none"];
@@ -179,7 +175,7 @@ fn an_instance_that_stands_by_is_ready() {
         let standing = format!("\"standing\":\"{state}\"");
         get(address, "/readyz").is_some_and(|(code, body)| code == 200 && body.contains(&standing))
     };
-    let (first, second) = (free_address(), free_address());
+    let (first, second) = (free_address().unwrap(), free_address().unwrap());
     let mut leader = start(&first);
     until("the first one leads", || is_ready(&first, "holding"));
     let _standby = start(&second);
@@ -190,7 +186,7 @@ fn an_instance_that_stands_by_is_ready() {
 
 #[test]
 fn the_metrics_are_those_that_are_promised() {
-    let (endpoint, address) = (free_endpoint().unwrap(), free_address());
+    let (endpoint, address) = (free_endpoint().unwrap(), free_address().unwrap());
     let folder = tempfile::tempdir().unwrap();
     let _router = start_router(&endpoint, folder.path()).unwrap();
     let up = [

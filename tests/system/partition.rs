@@ -4,7 +4,8 @@
 use std::time::{Duration, Instant};
 
 use muster_tests::client::{Client, Division, Watch, division};
-use muster_tests::cluster::{SERVICES, free_endpoint, start_router};
+use muster_tests::cluster::{SERVICES, start_router};
+use muster_tests::ports::free_endpoint;
 use muster_tests::process::{Process, run};
 use muster_tests::relay::Relay;
 use serde_json::Value;

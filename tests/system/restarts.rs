@@ -4,7 +4,8 @@ use std::time::{Duration, Instant};
 
 use muster_tests::BUSY;
 use muster_tests::client::{Client, Division, Watch, division, is_event_of_robots};
-use muster_tests::cluster::{Cluster, SERVICES, free_endpoint, start_router};
+use muster_tests::cluster::{Cluster, SERVICES, start_router};
+use muster_tests::ports::free_endpoint;
 use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
 

@@ -304,7 +304,7 @@ async fn a_bridge_is_a_member_of_a_secured_fleet_and_robots_of_ros_meet_at_a_rou
         ..ClusterOptions::default()
     };
     let cluster = Cluster::start_by(&options).unwrap();
-    let endpoint = muster_tests::cluster::free_endpoint().unwrap();
+    let endpoint = muster_tests::ports::free_endpoint().unwrap();
     let arguments = ["router", "--ros", "--listen", &endpoint];
     let mut router = Process::start("muster", &arguments, &[], cluster.folder()).unwrap();
     router.until_prints("router listens at", SOON).unwrap();
@@ -426,7 +426,7 @@ async fn the_doctor_says_what_does_not_suit_robots_of_ros() {
 /// Whether a program of ROS receives another one's messages through a router, within a while. The doctor says the same of
 /// the router.
 async fn peers_reach_each_other(command: &[&str]) -> bool {
-    let endpoint = muster_tests::cluster::free_endpoint().unwrap();
+    let endpoint = muster_tests::ports::free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let arguments = [command, &["--listen", &endpoint]].concat();
     let mut router = Process::start("muster", &arguments, &[], folder.path()).unwrap();
@@ -463,7 +463,7 @@ async fn programs_of_ros_reach_each_other_at_a_router_for_ros_alone() {
 /// One command is a router, the services and the bridge, for robots that are programs of ROS.
 #[tokio::test(flavor = "multi_thread")]
 async fn robots_of_ros_are_divided_by_one_command() {
-    let endpoint = muster_tests::cluster::free_endpoint().unwrap();
+    let endpoint = muster_tests::ports::free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let up = ["up", "--router", "--listen", &endpoint, "--fleet", "alpha", "--with", "ros2"];
     let quiet = ["--no-console", "--state-directory", "none", "--set", "clusterer.teams=2"];
@@ -496,7 +496,7 @@ fn has_bridge(endpoint: &str) -> bool {
 
 #[test]
 fn a_bridge_ends_with_the_command_that_is_killed() {
-    let endpoint = muster_tests::cluster::free_endpoint().unwrap();
+    let endpoint = muster_tests::ports::free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let up = ["up", "--router", "--listen", &endpoint, "--with", "ros2"];
     let quiet = ["--no-console", "--state-directory", "none"];

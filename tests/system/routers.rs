@@ -4,7 +4,8 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use muster_tests::client::division;
-use muster_tests::cluster::{Cluster, SERVICES, free_endpoint};
+use muster_tests::cluster::{Cluster, SERVICES};
+use muster_tests::ports::free_endpoint;
 use muster_tests::process::{Process, python};
 use serde_json::Value;
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::small::{self, Driven, ONE_LEADS, START, renewal, settings, token};
+use crate::small::{self, Driven, ONE_LEADS, START, renewal, settings, settings_sent, token};
 use muster_model::command::{CommandOutcome, MAX_REMEMBERED_COMMANDS, MAX_REMEMBERED_REFUSALS};
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
@@ -377,7 +377,8 @@ fn an_answer_from_before_a_change_does_not_replace_the_settings_of_the_same_revi
     starting.receive(settings(term, epoch, 7));
     assert_eq!(starting.teams(), 7);
     starting.now = START;
-    starting.answer_all(vec![renewal("a", term, epoch), settings(term, epoch, 5)]);
+    let before = settings_sent(START.before(Duration::from_secs(2)), term, epoch, 5);
+    starting.answer_all(vec![renewal("a", term, epoch), before]);
     assert_eq!((starting.host.replica_state(), starting.teams()), (ReplicaState::Standby, 7));
 }
 
@@ -590,22 +591,29 @@ fn settings_of_a_leader_of_a_lower_term_do_not_replace_those_of_the_term_on_the_
     assert_eq!((back.host.replica_state(), back.teams()), (ReplicaState::Leading, 7));
 }
 
-/// Until it is replaced, a leader of a lower term confirms changes as any other.
+/// Until it is replaced, a leader of a lower term confirms changes as any other. What it has confirmed as a suspect is known to
+/// whoever asks alone.
 #[test]
 fn a_change_that_a_leader_of_a_lower_term_confirms_holds_after_it_is_replaced() {
-    let mut back = back_above_its_leader();
     let mut other = Driven::<ONE_LEADS>::leading();
     other.wait(1.0);
     set(&mut other, "kim/c2", &json!({"teams": 4})).unwrap();
     let mut confirmed = CommandOutcome::clone(&outcomes(&other)[0]);
     confirmed.header.revision = Revision { term: LOWER, epoch: 5 };
-    back.receive(Message::Outcome(Arc::new(confirmed)));
-    for epoch in 6..9 {
-        back.receive(renewal("a", LOWER, epoch));
-        back.wait(0.5);
-        back.answer_all(vec![settings(LOWER, epoch, 4)]);
+    let confirmed = Message::Outcome(Arc::new(confirmed));
+    for is_published in [true, false] {
+        let mut back = back_above_its_leader();
+        if is_published {
+            back.receive(confirmed.clone());
+        }
+        for epoch in 6..9 {
+            back.receive(renewal("a", LOWER, epoch));
+            back.wait(0.5);
+            let answered = (!is_published).then(|| confirmed.clone());
+            back.answer_all([settings(LOWER, epoch, 4)].into_iter().chain(answered).collect());
+        }
+        assert_eq!((back.host.replica_state(), back.teams()), (ReplicaState::Leading, 4));
     }
-    assert_eq!((back.host.replica_state(), back.teams()), (ReplicaState::Leading, 4));
 }
 
 /// What is said again is taken for what its sender has answered.

@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use crate::small::{self, ONE_LEADS, header, output, renewal, settings, token};
+use crate::small::{
+    self, ONE_LEADS, START, header, output, renewal, settings, settings_sent, token,
+};
 use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
@@ -96,6 +98,25 @@ fn an_announcement_that_was_overtaken_does_not_bring_old_settings_back() {
     assert_eq!(receive_settings(&mut driven, 7, 9, 2), 2);
     // The leader's renewals are late as well: the last one that came was of before the change.
     assert_eq!(receive_settings(&mut driven, 7, 8, 3), 2);
+}
+
+/// A leader that has published nothing yet announces settings of before and after a change with the same revision.
+#[test]
+fn an_announcement_of_the_same_revision_that_was_overtaken_does_not_bring_old_settings_back() {
+    let mut driven = Driven::answered(vec![renewal("a", 7, 0), settings(7, 0, 5)]);
+    let sent = |seconds: f64| START.after(Duration::from_secs_f64(seconds));
+    driven.receive(settings_sent(sent(1.0), 7, 0, 2));
+    assert_eq!(driven.teams(), 2);
+    for seconds in [0.5, 0.999] {
+        driven.receive(settings_sent(sent(seconds), 7, 0, 3));
+        assert_eq!(driven.teams(), 2, "sent at {seconds} s");
+    }
+    assert_eq!(driven.counter("settings_old"), 2);
+    driven.receive(settings_sent(sent(1.5), 7, 0, 4));
+    assert_eq!(driven.teams(), 4);
+    // Nothing is on its way for so long: the clock of the leader was set back, or it is another instance of the same term.
+    driven.receive(settings_sent(sent(1.5).before(Duration::from_secs(5)), 7, 0, 6));
+    assert_eq!(driven.teams(), 6);
 }
 
 #[test]

@@ -12,8 +12,9 @@ use std::time::{Duration, Instant};
 use clap::Parser;
 use muster_client::Config;
 use muster_tests::client::{Client, division};
-use muster_tests::cluster::{free_endpoint, start_router};
+use muster_tests::cluster::start_router;
 use muster_tests::joining::{Progress, join_all};
+use muster_tests::ports::free_endpoint;
 use muster_tests::process::Process;
 use muster_tests::process_stats::process_stats;
 

@@ -11,8 +11,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Parser;
-use muster_tests::cluster::{free_endpoint, start_router};
+use muster_tests::cluster::start_router;
 use muster_tests::many_fleets::{Load, Received, drive, fleet_name, listen, sum_of};
+use muster_tests::ports::{free_address, free_endpoint};
 use muster_tests::process::Process;
 use muster_tests::process_stats::{memory_of, process_stats, quantile, threads_of};
 
@@ -110,7 +111,7 @@ async fn run(options: &Options, load: Load) -> anyhow::Result<Measured> {
     let folder = tempfile::tempdir()?;
     let endpoint = free_endpoint()?;
     let router = start_router(&endpoint, folder.path())?;
-    let http: SocketAddr = free_endpoint()?.trim_start_matches("tcp/").parse()?;
+    let http: SocketAddr = free_address()?.parse()?;
     let (http_text, state) = (http.to_string(), folder.path().join("state"));
     let state = state.to_string_lossy();
     let names: Vec<String> = (0..load.fleets).map(fleet_name).collect();

@@ -235,8 +235,13 @@ impl World {
         };
         let based_on = self.oracle.divisions.named(division.based_on);
         let has_free_seats = |teams: &Teams| teams.requested as usize != teams.teams.len();
+        // Where rules allow the present robots only so few teams as the seats of absent ones leave, these seats end
+        // within a minute.
+        let leaves_seats_free = proposal.asked.teams.is_none()
+            && based_on.iter().any(|teams| teams.requested as usize > division.teams.len());
         if commands > 1
             || division.embedded
+            || leaves_seats_free
             || has_free_seats(last)
             || based_on.iter().any(|teams| has_free_seats(teams))
         {

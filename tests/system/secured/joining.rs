@@ -10,7 +10,8 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use muster_tests::client::Client;
-use muster_tests::cluster::{SERVICES, free_endpoint, start_router};
+use muster_tests::cluster::{SERVICES, start_router};
+use muster_tests::ports::free_endpoint;
 use muster_tests::process::Process;
 use zenoh::Wait;
 use zenoh::config::ZenohId;

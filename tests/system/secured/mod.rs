@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use muster_tests::client::{Client, Watch, division};
-use muster_tests::cluster::{SERVICES, free_endpoint};
+use muster_tests::cluster::SERVICES;
+use muster_tests::ports::free_endpoint;
 use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
 use tempfile::TempDir;

@@ -92,7 +92,7 @@ impl<C: Core> Host<C> {
         // What was refused has changed nothing, and any number of such may come: it is not worth a write.
         if facilities.operator_commands.remember(Arc::clone(&outcome)) && outcome.refused.is_none()
         {
-            let followed = facilities.replica.election.followed().map(|revision| revision.term);
+            let followed = facilities.replica.election.last_followed_term();
             facilities.replica.settings.note_outcome(&outcome, followed);
             facilities.store();
         }

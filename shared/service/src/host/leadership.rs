@@ -211,10 +211,7 @@ impl<C: Core> Host<C> {
                 Message::Settings(announced) if announced.service == C::SERVICE => {
                     let now = self.facilities.now;
                     self.facilities.replica.note_stored_by_other(now, &announced);
-                    let revision = announced.header.revision;
-                    if !self.facilities.replica.settings.were_adopted_with(revision) {
-                        self.adopt(&announced);
-                    }
+                    self.adopt(&announced);
                 }
                 Message::Outcome(outcome) if outcome.service == C::SERVICE => {
                     self.learn_outcome(outcome);

@@ -2,6 +2,7 @@
 //! adopts from its leader.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use muster_model::command::CommandOutcome;
 use muster_model::header::Revision;
@@ -30,6 +31,10 @@ const REPEATED_ANNOUNCEMENTS: u8 = 3;
 /// an announcement has overtaken are normal.
 const RENEWALS_BELOW: u8 = 3;
 
+/// How long an announcement of a revision may be on its way while a later one of the same revision is received. One that seems
+/// older than that is of an instance whose clock goes behind.
+const LONGEST_DELAY: Duration = Duration::from_secs(5);
+
 /// How often a standby asks one leader for its settings, with the interval of renewals in between: by then the leader
 /// announces them by itself.
 const MAX_QUERIES: u8 = 10;
@@ -46,6 +51,9 @@ pub(crate) struct ReplicaSettings<S> {
     dropped: Vec<String>,
     /// The revision of the announcement that the settings are from; an older one is not adopted.
     adopted: Revision,
+    /// When that was sent, by the clock of its sender. A leader that has published nothing changes its settings without a new
+    /// revision, and its announcements may arrive in another order.
+    adopted_sent: Tick,
     /// How many renewals of the leader in a row were below that.
     renewals_below: u8,
     /// Whether the settings are those that the fleet had, as far as this instance can know: it had stored
@@ -119,6 +127,7 @@ impl<S: Settings> ReplicaSettings<S> {
             patch,
             dropped,
             adopted: revision,
+            adopted_sent: Tick::default(),
             renewals_below: 0,
             are_known: revision.term > 0,
             of_next_leader: None,
@@ -155,6 +164,7 @@ impl<S: Settings> ReplicaSettings<S> {
     /// new leader announces it, or could long have received it.
     pub(crate) fn stood_down(&mut self, revision: Revision, confirmed: &[Arc<CommandOutcome>]) {
         self.adopted = revision;
+        self.adopted_sent = Tick::default();
         self.are_from_disk = false;
         self.renewals_below = 0;
         self.of_next_leader = None;
@@ -246,12 +256,6 @@ impl<S: Settings> ReplicaSettings<S> {
         is_due
     }
 
-    /// Whether an announcement of a revision was adopted. An answer of the same revision that was waiting for others to
-    /// come is from before that: a leader that has published nothing changes its settings without a new revision.
-    pub(crate) fn were_adopted_with(&self, revision: Revision) -> bool {
-        !self.are_from_disk && self.adopted == revision
-    }
-
     /// The revision of the announcement that the settings are from.
     pub(crate) fn adopted(&self) -> Revision {
         self.adopted
@@ -338,6 +342,12 @@ impl<S: Settings> ReplicaSettings<S> {
         if revision < self.adopted && !followed.is_some_and(is_leaders) {
             return Adoption::Old;
         }
+        let sent = announced.header.stages.last().map(|stage| stage.published).unwrap_or_default();
+        let is_overtaken =
+            sent < self.adopted_sent && self.adopted_sent.since(sent) < LONGEST_DELAY;
+        if revision == self.adopted && is_overtaken {
+            return Adoption::Old;
+        }
         let read = serde_json::from_str(&announced.settings).ok();
         let Some(settings) = read.and_then(|read| self.current.patched(&read).ok()) else {
             return Adoption::Misfit;
@@ -345,6 +355,7 @@ impl<S: Settings> ReplicaSettings<S> {
         let (before, were_known) = (self.patch.clone(), self.are_known);
         self.accept(settings);
         self.adopted = revision;
+        self.adopted_sent = sent;
         self.are_from_disk = false;
         self.are_known = true;
         let current = &self.current;
@@ -363,6 +374,7 @@ impl<S: Settings> ReplicaSettings<S> {
         self.renewals_below = if is_below { self.renewals_below.saturating_add(1) } else { 0 };
         if self.renewals_below >= RENEWALS_BELOW {
             self.adopted = leader;
+            self.adopted_sent = Tick::default();
             self.renewals_below = 0;
         }
         self.of_next_leader.take_if(|waiting| waiting.header.revision.term <= leader.term)

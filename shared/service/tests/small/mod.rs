@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use muster_model::content::Checked;
 use muster_model::event::{EventKind, Severity};
-use muster_model::header::{Header, Revision};
+use muster_model::header::{Header, Revision, StageTime};
 use muster_model::history::{Page, Query, Record, RecordingReport, Retention, Subject};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::{CheckedReport, Pose, Report};
@@ -282,10 +282,16 @@ pub(crate) fn renewal(host: &str, term: u64, epoch: u64) -> Message {
 }
 
 pub(crate) fn settings(term: u64, epoch: u64, teams: u32) -> Message {
+    settings_sent(START, term, epoch, teams)
+}
+
+/// Settings that a leader has announced, or answered, at a moment by its clock.
+pub(crate) fn settings_sent(published: Tick, term: u64, epoch: u64, teams: u32) -> Message {
     let teams = TeamCount::Fixed(teams);
     let settings = ClustererSettings { teams, ..ClustererSettings::default() };
+    let stage = StageTime { stage: ServiceName::Clusterer, received: published, published };
     Message::Settings(Box::new(AnnouncedSettings {
-        header: header(Revision { term, epoch }),
+        header: Header { stages: vec![stage], ..header(Revision { term, epoch }) },
         service: ServiceName::Clusterer,
         settings: serde_json::to_string(&settings).unwrap(),
     }))
