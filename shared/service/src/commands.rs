@@ -108,8 +108,16 @@ impl Commands {
     /// counts, even if another one at the same time has refused it, by a wrong clock for example.
     pub(crate) fn remember(&mut self, outcome: Arc<CommandOutcome>) -> bool {
         let name = (outcome.operator.clone(), outcome.id.clone());
-        match self.outcomes.get(&name) {
-            Some(known) if known.refused.is_none() => return false,
+        match self.outcomes.get_mut(&name) {
+            Some(known) if known.refused.is_none() => {
+                // A later leader has carried it out as well: what that one did before is before it.
+                if outcome.refused.is_none()
+                    && outcome.header.revision.term > known.header.revision.term
+                {
+                    *known = outcome;
+                }
+                return false;
+            }
             Some(known) if outcome.refused.is_some() && !known.may_be_repeated => return false,
             Some(_) => {
                 let place = self.order.iter().position(|other| *other == name);
@@ -165,10 +173,9 @@ impl Commands {
         self.order.iter().filter_map(|name| self.outcomes.get(name))
     }
 
-    /// What this instance itself has answered in a term, the oldest first.
-    pub(crate) fn own_outcomes(&self, term: u64) -> impl Iterator<Item = &Arc<CommandOutcome>> {
+    /// What this instance itself has answered, or has from its disk, the oldest first.
+    pub(crate) fn own_outcomes(&self) -> impl Iterator<Item = &Arc<CommandOutcome>> {
         let own = self.order.iter().filter(|name| self.own.contains(*name));
-        let own = own.filter_map(|name| self.outcomes.get(name));
-        own.filter(move |outcome| outcome.header.revision.term == term)
+        own.filter_map(|name| self.outcomes.get(name))
     }
 }

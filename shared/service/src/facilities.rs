@@ -1,7 +1,9 @@
 //! What the host keeps and does for a core.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
+use muster_model::command::{CommandOutcome, MAX_REMEMBERED_COMMANDS};
 use muster_model::event::{EventKind, Severity};
 use muster_model::settings::Settings;
 use muster_model::time::Tick;
@@ -38,6 +40,9 @@ pub(crate) struct Facilities<S, F, J> {
     pub(crate) gets: Gets,
     /// What operators have commanded.
     pub(crate) operator_commands: Commands,
+    /// What came of commands while this instance was suspect, which others learn once it leads again. At most
+    /// [`MAX_REMEMBERED_COMMANDS`].
+    pub(crate) unsaid: VecDeque<Arc<CommandOutcome>>,
     pub(crate) job: JobSlot<J>,
     pub(crate) failures: Failures,
     /// Whether the last jobs have all failed.
@@ -63,6 +68,24 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
     pub(crate) fn publish_as_leader(&mut self, message: Message) {
         if self.replica.election.is_leading() {
             self.publish(message);
+        }
+    }
+
+    /// Publishes what came of a command, now or once this instance leads again.
+    pub(crate) fn publish_outcome(&mut self, outcome: &Arc<CommandOutcome>) {
+        if self.replica.election.is_leading() {
+            return self.publish(Message::Outcome(Arc::clone(outcome)));
+        }
+        if self.unsaid.len() >= MAX_REMEMBERED_COMMANDS {
+            self.unsaid.pop_front();
+        }
+        self.unsaid.push_back(Arc::clone(outcome));
+    }
+
+    /// Publishes what came of commands while this instance was suspect.
+    pub(crate) fn publish_unsaid(&mut self) {
+        for outcome in std::mem::take(&mut self.unsaid) {
+            self.publish(Message::Outcome(outcome));
         }
     }
 

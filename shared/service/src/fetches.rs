@@ -68,6 +68,13 @@ pub(crate) enum Purpose<F> {
     Core(F),
 }
 
+impl<F> Purpose<F> {
+    /// Whether an instance asks what there is.
+    fn is_inquiry(&self) -> bool {
+        matches!(self, Self::Start | Self::TakeOver)
+    }
+}
+
 /// A fetch that has ended.
 #[derive(Debug)]
 pub(crate) struct Fetched<F> {
@@ -113,7 +120,7 @@ impl<F> Default for Fetches<F> {
 }
 
 impl<F: Copy> Fetches<F> {
-    /// Begins a fetch whose questions wait so long for answers. `retries` says which key expressions are asked for
+    /// Begins a fetch whose questions wait so long for answers. An inquiry that follows another one has its answers too. `retries` says which key expressions are asked for
     /// again while they are unanswered. What is to be asked is added to `asks`; a fetch that asks for nothing has ended already.
     pub(crate) fn begin(
         &mut self,
@@ -130,13 +137,30 @@ impl<F: Copy> Fetches<F> {
         let fetch = self.number();
         let retry_until = now.after(START_RETRY_TIME);
         let open = patterns.len();
-        let answers = Vec::new();
+        let answers = if purpose.is_inquiry() { self.end_inquiries() } else { Vec::new() };
         self.fetches.insert(fetch, Fetch { purpose, time, open, retry_until, answers });
         for pattern in patterns {
             let retries = retries(&pattern);
             asks.push(self.ask(Question { fetch, pattern, retries }));
         }
         None
+    }
+
+    /// Ends the inquiries under way, and returns what was answered to them: a standby may take over before it has all answers, and
+    /// those who gave them may be gone. Who led then does not count any more.
+    fn end_inquiries(&mut self) -> Vec<Message> {
+        let mut answers = Vec::new();
+        self.fetches.retain(|_, fetch| {
+            let is_inquiry = fetch.purpose.is_inquiry();
+            if is_inquiry {
+                answers.append(&mut fetch.answers);
+            }
+            !is_inquiry
+        });
+        let fetches = &self.fetches;
+        self.asked.retain(|_, question| fetches.contains_key(&question.fetch));
+        self.waiting.retain(|(_, question)| fetches.contains_key(&question.fetch));
+        answers.into_iter().filter(|answer| !matches!(answer, Message::LeaseRenewal(_))).collect()
     }
 
     fn number(&mut self) -> u64 {
@@ -199,6 +223,7 @@ impl<F: Copy> Fetches<F> {
 
 #[cfg(test)]
 mod tests {
+    use muster_model::id::RobotId;
     use muster_wire::Key;
 
     use super::*;
@@ -271,6 +296,27 @@ mod tests {
         fetches.forget();
         assert!(fetches.answered(NOW, asks[0].ask, Vec::new()).is_none());
         assert_eq!(fetches.deadline(), None);
+    }
+
+    #[test]
+    fn an_inquiry_has_the_answers_to_the_one_before_that_did_not_end() {
+        let mut fetches: Fetches<u8> = Fetches::default();
+        let begin = |fetches: &mut Fetches<u8>, purpose| {
+            let (patterns, mut asks) = (vec![Pattern::Graphs, Pattern::One(Key::Roster)], vec![]);
+            let time = AnswerTime::COMPLETE;
+            assert!(fetches.begin(NOW, purpose, patterns, time, |_| true, &mut asks).is_none());
+            asks
+        };
+        let answer = || Message::RobotToken { robot: RobotId::new("r1").unwrap(), alive: true };
+        let first = begin(&mut fetches, Purpose::Start);
+        assert!(fetches.answered(NOW, first[0].ask, vec![answer()]).is_none());
+        assert!(fetches.answered(NOW, first[1].ask, vec![]).is_none(), "it is asked again");
+        let second = begin(&mut fetches, Purpose::TakeOver);
+        assert!(fetches.due(NOW.after(START_RETRY_TIME)).is_empty());
+        assert!(fetches.answered(NOW, first[1].ask, vec![answer()]).is_none(), "too late");
+        assert!(fetches.answered(NOW, second[0].ask, vec![answer()]).is_none());
+        let ended = fetches.answered(NOW, second[1].ask, vec![answer()]).unwrap();
+        assert_eq!((ended.purpose, ended.answers.len()), (Purpose::TakeOver, 3));
     }
 
     #[test]

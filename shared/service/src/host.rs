@@ -12,8 +12,10 @@ mod leadership;
 mod state_loss;
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 use std::time::Duration;
 
+use muster_model::command::CommandOutcome;
 use muster_model::role::ReplicaState;
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
@@ -49,6 +51,8 @@ pub struct Host<C: Core> {
     announced_state: ReplicaState,
     process_counters: BTreeMap<String, u64>,
     next_query: u64,
+    /// What it had confirmed when it led last, which it says to the next leader.
+    confirmed_before: Vec<Arc<CommandOutcome>>,
 }
 
 impl<C: Core> Host<C> {
@@ -57,6 +61,7 @@ impl<C: Core> Host<C> {
     pub fn new(start: Start<C::Settings>) -> Self {
         let now = start.now;
         let operator_commands = Commands::new(&start.stored.commands);
+        let missed = start.stored.missed.clone();
         let replica = Replica::new(C::SERVICE, C::REPLICATION, start);
         let core = C::new(now, replica.settings.current());
         let facilities = Facilities {
@@ -66,6 +71,7 @@ impl<C: Core> Host<C> {
             fetched: VecDeque::new(),
             gets: Gets::default(),
             operator_commands,
+            unsaid: VecDeque::new(),
             job: JobSlot::Free,
             failures: Failures::default(),
             jobs: JobOutcomes::default(),
@@ -73,7 +79,7 @@ impl<C: Core> Host<C> {
             store_again_at: None,
             unstored_term: UnstoredTerm::default(),
         };
-        Self {
+        let mut host = Self {
             core,
             facilities,
             done: None,
@@ -81,7 +87,10 @@ impl<C: Core> Host<C> {
             announced_state: ReplicaState::Starting,
             process_counters: BTreeMap::new(),
             next_query: 0,
-        }
+            confirmed_before: Vec::new(),
+        };
+        host.note_confirmed(&missed);
+        host
     }
 
     /// Handles one input and returns what is to be done, in order.

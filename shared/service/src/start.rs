@@ -1,6 +1,8 @@
 //! What an instance begins with, and what it keeps over a restart.
 
 use muster_model::command::CommandOutcome;
+use muster_model::header::Revision;
+use muster_model::id::{CommandId, OperatorId};
 use muster_model::id::{FleetId, InstanceId};
 use muster_model::time::Tick;
 use serde::{Deserialize, Serialize};
@@ -21,6 +23,13 @@ pub struct Stored {
     /// What came of the last commands, the oldest first: none is carried out again.
     #[serde(default)]
     pub commands: Vec<CommandOutcome>,
+    /// The revision of the settings of another leader that it knew last: what others have confirmed since may be missing in its own.
+    /// None where that is not known.
+    #[serde(default)]
+    pub basis: Option<Revision>,
+    /// Those of the commands whose change the patch lacks: they were confirmed by another leader whose settings it had not received.
+    #[serde(default)]
+    pub missed: Vec<(OperatorId, CommandId)>,
 }
 
 /// A patch is written as it is where the form describes itself, as JSON does, and as JSON text where it

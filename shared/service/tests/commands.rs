@@ -69,6 +69,19 @@ fn a_command_is_carried_out_once_and_its_first_answer_is_given_again() {
 }
 
 #[test]
+fn what_a_suspect_has_answered_is_told_once_it_leads_again() {
+    let mut driven = Driven::leading();
+    driven.input(Input::LinkLost);
+    set(&mut driven, "kim/c1", &json!({"teams": 7})).unwrap();
+    driven.input(Input::LinkRestored);
+    assert_eq!(outcomes(&driven), Vec::new());
+    let query = driven.leader_queries().remove(0);
+    driven.answer(&query, Vec::new());
+    assert_eq!(driven.host.replica_state(), ReplicaState::Leading);
+    assert_eq!(outcomes(&driven).len(), 1);
+}
+
+#[test]
 fn a_command_that_is_refused_by_what_it_asks_is_remembered_as_well() {
     let mut driven = Driven::leading();
     let error = set(&mut driven, "kim/c1", &json!({"teams": 0})).unwrap_err();
@@ -513,6 +526,7 @@ fn an_instance_that_is_back_says_what_it_had_confirmed_as_soon_as_it_follows_a_l
 #[test]
 fn a_change_that_its_own_leader_could_not_hear_of_holds_when_an_instance_leads_again() {
     let mut old = Driven::<ONE_LEADS>::leading();
+    set(&mut old, "kim/c0", &json!({"teams": 5})).unwrap();
     set(&mut old, "kim/c1", &json!({"teams": 7})).unwrap();
     let term = outcomes(&old)[0].header.revision.term + 1;
     old.receive(token("a", true));
@@ -526,21 +540,23 @@ fn a_change_that_its_own_leader_could_not_hear_of_holds_when_an_instance_leads_a
     assert_eq!((old.host.replica_state(), old.teams()), (ReplicaState::Leading, 7));
 }
 
-/// An instance that has confirmed 7 teams, stood down for a leader that has 5, and receives renewals and settings of that one.
-fn following_after_a_change(renewals: u64) -> Driven<ONE_LEADS> {
+/// An instance that has confirmed 5 teams and then 7, stood down for a leader that has another number, and receives renewals and settings
+/// of that one.
+fn following_after_a_change(renewals: u64, teams: u32) -> Driven<ONE_LEADS> {
     let mut old = Driven::<ONE_LEADS>::leading();
+    set(&mut old, "kim/c0", &json!({"teams": 5})).unwrap();
     set(&mut old, "kim/c1", &json!({"teams": 7})).unwrap();
     let term = outcomes(&old)[0].header.revision.term + 1;
     old.receive(token("a", true));
     old.receive(renewal("a", term, 5));
     old.wait(3.0);
-    old.answer_all(vec![renewal("a", term, 5), settings(term, 5, 5)]);
+    old.answer_all(vec![renewal("a", term, 5), settings(term, 5, teams)]);
     for epoch in 6..6 + renewals {
         old.receive(renewal("a", term, epoch));
-        old.receive(settings(term, epoch, 5));
+        old.receive(settings(term, epoch, teams));
         old.wait(0.5);
     }
-    assert_eq!((old.host.replica_state(), old.teams()), (ReplicaState::Standby, 5));
+    assert_eq!((old.host.replica_state(), old.teams()), (ReplicaState::Standby, teams));
     old.receive(token("a", false));
     old.wait(3.0);
     old.answer_all(Vec::new());
@@ -551,13 +567,19 @@ fn following_after_a_change(renewals: u64) -> Driven<ONE_LEADS> {
 /// What it says of that to the new leader may be lost, and the leader right after it.
 #[test]
 fn a_change_holds_that_was_said_to_a_leader_that_has_not_announced_it() {
-    assert_eq!(following_after_a_change(1).teams(), 7);
+    assert_eq!(following_after_a_change(1, 5).teams(), 7);
 }
 
 /// A leader that has received it for seconds and announces something else has been given another command since.
 #[test]
 fn a_change_that_a_leader_has_long_received_holds_no_more() {
-    assert_eq!(following_after_a_change(5).teams(), 5);
+    assert_eq!(following_after_a_change(5, 5).teams(), 5);
+}
+
+/// It has been given another command by the time, which this instance has not received.
+#[test]
+fn a_change_does_not_hold_against_a_number_that_there_was_not_before() {
+    assert_eq!(following_after_a_change(1, 6).teams(), 6);
 }
 
 /// The term of the leader that [`back_above_its_leader`] finds.

@@ -9,6 +9,7 @@
 
 mod commands;
 mod host;
+mod pair;
 mod recording;
 mod replica;
 mod small;

@@ -183,10 +183,10 @@ fn an_instance_that_takes_over_adopts_what_a_suspect_could_not_announce() {
 #[test]
 fn an_instance_that_is_about_to_lead_asks_once_more_where_another_one_has_appeared() {
     let mut driven = Driven::new();
-    driven.now = small::START.before(Duration::from_secs(2));
+    driven.now = START.before(Duration::from_secs(2));
     driven.input(Input::Started { linked: true });
     driven.receive(token("c", true));
-    driven.now = small::START;
+    driven.now = START;
     driven.answer_all(Vec::new());
     assert_eq!(driven.host.replica_state(), ReplicaState::Starting);
     // Tokens that come and go keep it from leading no longer than that.
@@ -319,32 +319,31 @@ fn a_term_is_raised_only_when_readers_have_seen_the_same_higher_revision_twice()
 /// above that of the other one, which has what operators changed.
 #[test]
 fn a_leader_without_state_is_replaced_by_an_instance_that_has_it() {
-    let with_state = |stored: u64| {
-        let patch = serde_json::json!({"teams": 5}).as_object().unwrap().clone();
-        let mut bench = small::Driven::<ONE_LEADS>::with_stored(Stored {
-            term: stored,
-            patch,
-            ..Stored::default()
-        });
-        bench.now = small::START.before(Duration::from_secs(2));
+    let patch = || serde_json::json!({"teams": 5}).as_object().unwrap().clone();
+    let begun_with = |stored: Stored| {
+        let mut bench = small::Driven::<ONE_LEADS>::with_stored(stored);
+        bench.now = START.before(Duration::from_secs(2));
         bench.input(Input::Started { linked: true });
-        bench.now = small::START;
+        bench.now = START;
         bench.answer_all(vec![renewal("a", 900, 1)]);
         bench
     };
-    let mut driven = with_state(7);
-    driven.receive(token("a", true));
-    assert_eq!((driven.host.replica_state(), driven.teams()), (ReplicaState::Standby, 5));
-    assert_eq!(receive_settings(&mut driven, 0, 0, 3), 5);
-    driven.receive(renewal("a", 900, 2));
-    driven.answer_all(vec![renewal("a", 900, 2)]);
-    assert_eq!((driven.host.replica_state(), driven.teams()), (ReplicaState::Leading, 5));
-    assert_eq!(driven.host.status(driven.now).revision.term, 901);
+    // One that was a standby all the time has settings and no term.
+    for term in [7, 0] {
+        let mut driven = begun_with(Stored { term, patch: patch(), ..Stored::default() });
+        driven.receive(token("a", true));
+        assert_eq!((driven.host.replica_state(), driven.teams()), (ReplicaState::Standby, 5));
+        assert_eq!(receive_settings(&mut driven, 0, 0, 3), 5);
+        driven.receive(renewal("a", 900, 2));
+        driven.answer_all(vec![renewal("a", 900, 2)]);
+        assert_eq!((driven.host.replica_state(), driven.teams()), (ReplicaState::Leading, 5));
+        assert_eq!(driven.host.status(driven.now).revision.term, 901);
+    }
     // One without state has nothing to bring back, and one that has adopted the leader's stays a standby.
-    let mut fresh = with_state(0);
-    assert_eq!(receive_settings(&mut fresh, 0, 0, 3), 5);
+    let mut fresh = begun_with(Stored::default());
+    assert_eq!(receive_settings(&mut fresh, 0, 0, 3), small::AUTO);
     assert!(fresh.asks.is_empty());
-    let mut follower = with_state(7);
+    let mut follower = begun_with(Stored { term: 7, patch: patch(), ..Stored::default() });
     assert_eq!(receive_settings(&mut follower, 900, 3, 4), 4);
     assert_eq!(receive_settings(&mut follower, 0, 0, 3), 4);
     assert!(follower.asks.is_empty());

@@ -705,8 +705,11 @@ impl World {
             // The last division of a fleet that all have left may be that of a clusterer that was killed, and lost on its way:
             // the next one has nothing to divide.
             let has_robots = self.settled.as_ref().is_some_and(|(_, agreed)| agreed.has_robots());
+            let truth = self.operator.ground_truth(&self.robots, &self.nodes);
+            let is_current = has_robots || self.oracle.last_runs(ServiceName::Clusterer, &truth);
             let teams = self.oracle.divisions.last().map(|teams| &**teams);
-            let teams = teams.filter(|teams| has_robots || teams.assignments().next().is_none());
+            let teams = teams
+                .filter(|teams| is_current && (has_robots || teams.assignments().next().is_none()));
             let shown = self.browsers.check_agreement(teams);
             let seen = match (self.oracle.rosters.last(), teams) {
                 (Some(roster), Some(teams)) => {

@@ -92,8 +92,9 @@ impl<C: Core> Host<C> {
         // What was refused has changed nothing, and any number of such may come: it is not worth a write.
         if facilities.operator_commands.remember(Arc::clone(&outcome)) && outcome.refused.is_none()
         {
-            let followed = facilities.replica.election.last_followed_term();
-            facilities.replica.settings.note_outcome(&outcome, followed);
+            let election = &facilities.replica.election;
+            let (followed, replaced) = (election.followed(), election.replaced_term());
+            facilities.replica.settings.note_outcome(&outcome, followed, replaced);
             facilities.store();
         }
     }
@@ -123,7 +124,8 @@ impl<C: Core> Host<C> {
         }
         facilities.operator_commands.drop_changed_later(&mut patch, time, None);
         // Of two leaders of one term neither was before the other.
-        let own = facilities.operator_commands.own_outcomes(term).filter(|_| is_of_before);
+        let own = facilities.operator_commands.own_outcomes();
+        let own = own.filter(|own| is_of_before && own.header.revision.term == term);
         for changed in own.filter_map(|outcome| confirmed_patch(outcome)) {
             patch.retain(|field, _| !changed.contains_key(field));
         }
@@ -153,19 +155,33 @@ impl<C: Core> Host<C> {
         }
     }
 
-    /// Says again what this instance has confirmed in its last term: whoever leads now may not have received it.
+    /// Says again what this instance had confirmed: whoever leads now may not have received it.
     pub(super) fn say_confirmed_changes(&mut self) {
-        for outcome in self.confirmed_changes() {
-            self.facilities.publish(Message::Outcome(outcome));
+        for outcome in &self.confirmed_before {
+            self.facilities.publish(Message::Outcome(Arc::clone(outcome)));
         }
     }
 
-    /// The newest changes that this instance has confirmed in its last term, the oldest first.
-    pub(super) fn confirmed_changes(&self) -> Vec<Arc<CommandOutcome>> {
-        let facilities = &self.facilities;
-        let own = facilities.operator_commands.own_outcomes(facilities.replica.revision().term);
-        let own = own.filter(|outcome| confirmed_patch(outcome).is_some());
-        let mut own: Vec<_> = own.cloned().collect();
+    /// This instance does not lead any more, or begins: it notes what it has confirmed, and what it knows that its settings lack.
+    pub(super) fn note_confirmed(&mut self, missed: &[CommandName]) {
+        self.confirmed_before = self.confirmed_changes(missed);
+        let Facilities { operator_commands, replica, .. } = &mut self.facilities;
+        replica.settings.had_confirmed(&self.confirmed_before, operator_commands.outcomes());
+    }
+
+    /// The newest changes that this instance has confirmed up to its last term and that are in force, the oldest first: another leader
+    /// may have begun its term before it could know of them. Also those that are `missed`.
+    fn confirmed_changes(&self, missed: &[CommandName]) -> Vec<Arc<CommandOutcome>> {
+        let Facilities { operator_commands, replica, .. } = &self.facilities;
+        let is_in_force =
+            |(field, value)| !replica.settings.lacks(&Map::from_iter([(field, value)]));
+        let counts = |outcome: &&Arc<CommandOutcome>| {
+            let is_missed = missed.contains(&(outcome.operator.clone(), outcome.id.clone()));
+            let is_own = outcome.header.revision.term <= replica.revision().term;
+            confirmed_patch(outcome)
+                .is_some_and(|patch| is_missed || is_own && patch.into_iter().any(is_in_force))
+        };
+        let mut own: Vec<_> = operator_commands.own_outcomes().filter(counts).cloned().collect();
         own.split_off(own.len().saturating_sub(MAX_MISSED))
     }
 
@@ -287,7 +303,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
             answer: None,
             may_be_repeated,
         });
-        self.publish_as_leader(Message::Outcome(Arc::clone(&outcome)));
+        self.publish_outcome(&outcome);
         self.replica.add("commands_refused", 1);
         self.report_command(name, action, Some(&problem));
         (outcome, problem)
@@ -341,7 +357,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
         });
         self.operator_commands.remember_own(Arc::clone(&outcome));
         self.store();
-        self.publish_as_leader(Message::Outcome(Arc::clone(&outcome)));
+        self.publish_outcome(&outcome);
         self.report_command(&name, outcome.action.clone(), outcome.refused.as_deref());
         answer?;
         let space = &self.replica.space;

@@ -53,10 +53,13 @@ impl<C: Core> Host<C> {
     pub(super) fn confirm_leadership(&mut self) {
         if self.facilities.replica.election.confirm(self.facilities.now) {
             self.report_connectivity(Connectivity::Online);
+            self.facilities.publish_unsaid();
         }
     }
 
     pub(super) fn link_restored(&mut self) {
+        // What it has said lately was perhaps said into a dead link.
+        self.facilities.replica.settings.repeat_confirmations();
         match self.facilities.replica.election.link_restored(self.facilities.now) {
             Reconnection::Resume => self.report_connectivity(Connectivity::Online),
             Reconnection::Inquire => {
@@ -89,6 +92,7 @@ impl<C: Core> Host<C> {
                 self.begin_term(Some(revision));
                 if was_suspect {
                     self.report_connectivity(Connectivity::Online);
+                    self.facilities.publish_unsaid();
                 }
                 self.core.on_new_term(&mut Context(&mut self.facilities), Vec::new());
             }
@@ -96,9 +100,10 @@ impl<C: Core> Host<C> {
     }
 
     pub(super) fn stand_down(&mut self) {
-        let confirmed = self.confirmed_changes();
         let replica = &mut self.facilities.replica;
-        replica.settings.stood_down(replica.revision(), &confirmed);
+        replica.settings.stood_down(replica.revision());
+        self.facilities.unsaid.clear();
+        self.note_confirmed(&[]);
         self.facilities.fetches.forget();
         self.facilities.fetched.clear();
         self.facilities.abandon_job();
@@ -211,7 +216,9 @@ impl<C: Core> Host<C> {
                 Message::Settings(announced) if announced.service == C::SERVICE => {
                     let now = self.facilities.now;
                     self.facilities.replica.note_stored_by_other(now, &announced);
-                    self.adopt(&announced);
+                    if !self.facilities.replica.settings.were_adopted_after(&announced) {
+                        self.adopt(&announced);
+                    }
                 }
                 Message::Outcome(outcome) if outcome.service == C::SERVICE => {
                     self.learn_outcome(outcome);

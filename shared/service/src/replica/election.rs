@@ -181,11 +181,9 @@ impl Election {
         Some(self.candidate()?.leader.as_ref()?.revision)
     }
 
-    /// The term of the leader that this instance follows, or takes over from though that lives.
-    pub(crate) fn last_followed_term(&self) -> Option<u64> {
-        let candidate = self.candidate()?;
-        let followed = candidate.leader.as_ref().map(|leader| leader.revision.term);
-        followed.or(candidate.replaces)
+    /// The term of the leader that this instance takes over from, though that lives.
+    pub(crate) fn replaced_term(&self) -> Option<u64> {
+        self.candidate()?.replaces
     }
 
     /// The highest term that another instance has claimed.

@@ -11,6 +11,8 @@ use muster_model::header::{Header, Revision};
 use muster_model::time::Tick;
 use serde_json::{Map, Value};
 
+use crate::commands::CommandName;
+
 /// Most changes that are kept, and that an instance repeats of its own term: a person gives a command in some seconds, and
 /// within a minute the settings are announced a dozen times.
 pub(crate) const MAX_MISSED: usize = 16;
@@ -78,8 +80,11 @@ impl CommandTime {
 pub(crate) enum ConfirmedBy {
     /// This instance, before it stood down: the next leader may not have received it.
     Own,
-    /// The leader that was followed: it counts even if that has a lower term than the settings.
+    /// The leader that was followed then: it counts even if that has a lower term than the settings.
     Followed,
+    /// The same, but it is known by its answers to the instance that takes over from it: when that was is told by the
+    /// operator's clock alone.
+    Replaced,
     /// Another instance.
     Other,
 }
@@ -87,6 +92,7 @@ pub(crate) enum ConfirmedBy {
 /// A change that a leader has confirmed.
 #[derive(Debug)]
 pub(crate) struct MissedChange {
+    name: CommandName,
     /// The revision of the settings in which it is in force.
     revision: Revision,
     confirmed_by: ConfirmedBy,
@@ -114,23 +120,35 @@ impl MissedChanges {
                 self.0.pop_front();
             }
             let (revision, time) = (outcome.header.revision, CommandTime::of(outcome));
-            self.0.push_back(MissedChange { revision, confirmed_by, time, patch });
+            let name = (outcome.operator.clone(), outcome.id.clone());
+            self.0.push_back(MissedChange { name, revision, confirmed_by, time, patch });
         }
     }
 
+    /// The commands whose changes are missing, with these.
+    pub(crate) fn all(&self) -> impl Iterator<Item = (&CommandName, &Map<String, Value>)> {
+        self.0.iter().map(|missed| (&missed.name, &missed.patch))
+    }
+
     /// Settings of a revision were adopted. Those of the same revision may be of before a change, or have it. A new leader
-    /// may not have received yet what this instance had confirmed, as long as that is said again (`are_own_said`).
+    /// may not have received yet what this instance had confirmed, as long as that is said again (`are_own_said`). A field whose value
+    /// this instance never had (`is_unknown`) was changed by a leader after it, which counts.
     pub(crate) fn adopted(
         &mut self,
         revision: Revision,
         are_own_said: bool,
         has: impl Fn(&Map<String, Value>) -> bool,
+        is_unknown: impl Fn(&str) -> bool,
     ) {
-        self.0.retain(|missed| match missed.confirmed_by {
+        self.0.retain_mut(|missed| match missed.confirmed_by {
             // Its own settings may come back from the bus.
             ConfirmedBy::Own if missed.revision.term == revision.term => true,
-            ConfirmedBy::Own => are_own_said && !has(&missed.patch),
-            ConfirmedBy::Followed | ConfirmedBy::Other => {
+            ConfirmedBy::Own => {
+                let is_of_before = missed.revision.term < revision.term;
+                missed.patch.retain(|field, _| !(is_of_before && is_unknown(field)));
+                are_own_said && !has(&missed.patch)
+            }
+            ConfirmedBy::Followed | ConfirmedBy::Replaced | ConfirmedBy::Other => {
                 missed.revision >= revision && !has(&missed.patch)
             }
         });

@@ -10,6 +10,7 @@ pub(crate) mod settings;
 
 use std::collections::BTreeMap;
 
+use muster_model::command::CommandOutcome;
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, RobotId, ServiceName};
@@ -63,9 +64,15 @@ impl<S: Settings> Replica<S> {
             format!("the stored term {kept} is above {highest}, so the file is damaged")
         });
         let revision = Revision { term: stored_term, epoch: 0 };
-        let stored = start.stored.commands.iter().map(OutcomeMoment::of);
+        let missed = &start.stored.missed;
+        let is_in_patch = |outcome: &&CommandOutcome| {
+            !missed.contains(&(outcome.operator.clone(), outcome.id.clone()))
+        };
+        let stored = start.stored.commands.iter().filter(is_in_patch).map(OutcomeMoment::of);
         let newest_outcome = stored.max().unwrap_or_default();
-        let settings = if start.stored.lacks_settings { Revision::default() } else { revision };
+        // A standby that never led has settings of its leader, and no term.
+        let has_some = !start.stored.patch.is_empty() || newest_outcome.revision.term > 0;
+        let are_settings_known = !start.stored.lacks_settings && (stored_term > 0 || has_some);
         // What works for itself may store nothing for a long time.
         let is_empty = kept == 0 && replication == Replication::OneLeads;
         let counters =
@@ -77,7 +84,8 @@ impl<S: Settings> Replica<S> {
             settings: ReplicaSettings::new(
                 start.settings,
                 &start.stored.patch,
-                settings,
+                are_settings_known.then_some(revision),
+                start.stored.basis,
                 newest_outcome,
             ),
             refusals: Refusals::default(),
@@ -143,7 +151,6 @@ impl<S: Settings> Replica<S> {
         if self.election.highest_term() > 0 {
             self.settings.succeed();
         }
-        self.settings.term_began();
         self.revision = Revision { term, epoch: 0 };
         self.event_epoch = 0;
         self.stored_term = self.revision.term;
@@ -157,6 +164,8 @@ impl<S: Settings> Replica<S> {
             patch: self.settings.patch().clone(),
             lacks_settings: !self.settings.are_known(),
             commands: Vec::new(),
+            basis: Some(self.settings.basis()),
+            missed: self.settings.missed_commands().cloned().collect(),
         }
     }
 

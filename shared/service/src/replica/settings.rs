@@ -1,6 +1,7 @@
 //! The settings in force: what file and flags say, what operators have changed, and what a standby
 //! adopts from its leader.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -12,6 +13,8 @@ use muster_wire::envelope::{AnnouncedSettings, MAX_SMALL_PAYLOAD};
 use muster_wire::json::Problem;
 use muster_wire::message::quoted;
 use serde_json::{Map, Value};
+
+use crate::commands::CommandName;
 
 use super::lease::RENEWAL_INTERVAL;
 use super::missed_changes::{
@@ -72,7 +75,9 @@ pub(crate) struct ReplicaSettings<S> {
     queries: Queries,
     /// What a standby knows of changes that its leader has confirmed, and not announced as far as it has received.
     missed: MissedChanges,
-    /// The revision of the settings with which this instance began its term.
+    /// The values that each field is known to have had when this instance led last, or began.
+    own_values: BTreeMap<String, Vec<Value>>,
+    /// The revision of the settings of another leader that were adopted last: no change of a lower one is missing.
     basis: Revision,
     /// The newest outcome that was stored with the settings: what came of commands up to it is in them, though a standby
     /// does not know after a restart of which revision they are.
@@ -110,13 +115,14 @@ pub(crate) enum Adoption {
 }
 
 impl<S: Settings> ReplicaSettings<S> {
-    /// The settings with the stored patch, which are those of the fleet at `revision` (term 0 if they were never known), and were
-    /// stored with outcomes up to `stored_with`. Fields that do not fit are
+    /// The settings with the stored patch, which are those of the fleet at `known` (none if they were never known). They go on from
+    /// those of another leader at `basis`, if that is known, and were stored with outcomes up to `stored_with`. Fields that do not fit are
     /// dropped: a service with an old state starts all the same.
     pub(crate) fn new(
         base: S,
         patch: &Map<String, Value>,
-        revision: Revision,
+        known: Option<Revision>,
+        basis: Option<Revision>,
         stored_with: OutcomeMoment,
     ) -> Self {
         let (current, dropped) = restore(&base, patch);
@@ -126,17 +132,18 @@ impl<S: Settings> ReplicaSettings<S> {
             current,
             patch,
             dropped,
-            adopted: revision,
+            adopted: known.unwrap_or_default(),
             adopted_sent: Tick::default(),
             renewals_below: 0,
-            are_known: revision.term > 0,
+            are_known: known.is_some(),
             of_next_leader: None,
             announcements_left: 0,
             confirmations_left: 0,
             are_lost: false,
             queries: Queries::default(),
             missed: MissedChanges::default(),
-            basis: revision,
+            own_values: BTreeMap::new(),
+            basis: basis.or(known).unwrap_or_default(),
             stored_with,
             are_from_disk: true,
         }
@@ -160,9 +167,8 @@ impl<S: Settings> ReplicaSettings<S> {
         serde_json::to_string(&self.current).unwrap_or_default()
     }
 
-    /// An instance that stood down goes by announcements from its own last output on. What it had `confirmed` counts until a
-    /// new leader announces it, or could long have received it.
-    pub(crate) fn stood_down(&mut self, revision: Revision, confirmed: &[Arc<CommandOutcome>]) {
+    /// An instance that stood down goes by announcements from its own last output on, and by what it had confirmed.
+    pub(crate) fn stood_down(&mut self, revision: Revision) {
         self.adopted = revision;
         self.adopted_sent = Tick::default();
         self.are_from_disk = false;
@@ -172,27 +178,58 @@ impl<S: Settings> ReplicaSettings<S> {
         self.are_lost = false;
         self.queries = Queries::default();
         self.missed = MissedChanges::default();
+    }
+
+    /// What this instance had `confirmed` when it led last counts until a new leader announces it, or could long have received it, or
+    /// has changed the same since. By what it remembers of commands it knows which values the fields had before.
+    pub(crate) fn had_confirmed<'a>(
+        &mut self,
+        confirmed: &[Arc<CommandOutcome>],
+        remembered: impl Iterator<Item = &'a Arc<CommandOutcome>>,
+    ) {
+        self.own_values.clear();
+        let all = [serde_json::to_value(&self.base), serde_json::to_value(&self.current)];
+        let all = all.into_iter().filter_map(|settings| match settings {
+            Ok(Value::Object(settings)) => Some(settings),
+            _ => None,
+        });
+        let patches = remembered.filter_map(|outcome| confirmed_patch(outcome));
+        for (field, value) in all.chain(patches).flatten() {
+            self.own_values.entry(field).or_default().push(value);
+        }
         for outcome in confirmed {
             self.missed.note(outcome, ConfirmedBy::Own);
         }
         self.repeat_confirmations();
     }
 
-    /// This instance begins a term with the settings that it has.
-    pub(crate) fn term_began(&mut self) {
-        self.basis = self.adopted;
+    /// The revision of the settings of another leader that were adopted last.
+    pub(crate) fn basis(&self) -> Revision {
+        self.basis
     }
 
-    /// A standby has received the outcome of a command. `followed` is the term of its leader. If that is lower than the term of
-    /// the settings on the disk, the leader is replaced in a moment; what it confirms until then is newer all the same.
-    pub(crate) fn note_outcome(&mut self, outcome: &CommandOutcome, followed: Option<u64>) {
-        let revision = outcome.header.revision;
-        let is_of_followed = followed == Some(revision.term);
-        let is_new =
-            revision >= self.known_since() && OutcomeMoment::of(outcome) > self.stored_with;
-        if is_new || is_of_followed && revision.term < self.known_since().term {
-            let confirmed_by =
-                if is_of_followed { ConfirmedBy::Followed } else { ConfirmedBy::Other };
+    /// An instance that does not lead has received the outcome of a command. `followed` is the last output of its leader. If that is
+    /// below the settings that this instance has, the leader is replaced in a moment, and its term is `replaced` from then on; what it
+    /// confirms until then is newer all the same, and so may be what it knows of the leaders before it.
+    pub(crate) fn note_outcome(
+        &mut self,
+        outcome: &CommandOutcome,
+        followed: Option<Revision>,
+        replaced: Option<u64>,
+    ) {
+        let (revision, known) = (outcome.header.revision, self.known_since());
+        // Two instances may have begun the same term. What one has confirmed since its last output is in no settings of the other.
+        let is_by_followed = followed.is_some_and(|leader| {
+            leader.term == revision.term && (leader.term < known.term || leader <= revision)
+        });
+        let is_by_replaced = replaced.is_some_and(|term| revision.term <= term);
+        let is_new = revision >= known && OutcomeMoment::of(outcome) > self.stored_with;
+        let confirmed_by = match (is_by_followed, is_by_replaced) {
+            (true, _) => ConfirmedBy::Followed,
+            (false, true) => ConfirmedBy::Replaced,
+            (false, false) => ConfirmedBy::Other,
+        };
+        if is_new || revision < known && confirmed_by != ConfirmedBy::Other {
             self.missed.note(outcome, confirmed_by);
         }
     }
@@ -202,12 +239,17 @@ impl<S: Settings> ReplicaSettings<S> {
         if self.are_from_disk { self.stored_with.revision } else { self.adopted }
     }
 
+    /// The commands whose changes the settings lack, and are to have once this instance leads.
+    pub(crate) fn missed_commands(&self) -> impl Iterator<Item = &CommandName> {
+        self.missed.all().filter(|(_, patch)| self.lacks(patch)).map(|(name, _)| name)
+    }
+
     /// The changes that were confirmed after the settings that this instance has, the oldest first; they are given once.
     pub(crate) fn take_missed(&mut self) -> Vec<MissedChange> {
         self.missed.take_since(self.known_since())
     }
 
-    /// What another leader has changed after the settings with which the term `term` of this one began. None if it is in them, or
+    /// What another leader has changed after the settings that this one, of term `term`, goes on from. None if it is in them, or
     /// changed nothing, or if that leader has a higher term. Two instances may have begun the same term.
     pub(crate) fn missed_by(
         &self,
@@ -254,6 +296,12 @@ impl<S: Settings> ReplicaSettings<S> {
             self.queries.next = now.after(RENEWAL_INTERVAL);
         }
         is_due
+    }
+
+    /// Whether an announcement of the same revision was adopted that was sent after this answer, which may have waited for
+    /// others for any time.
+    pub(crate) fn were_adopted_after(&self, answer: &AnnouncedSettings) -> bool {
+        answer.header.revision == self.adopted && sent(answer) < self.adopted_sent
     }
 
     /// The revision of the announcement that the settings are from.
@@ -342,7 +390,7 @@ impl<S: Settings> ReplicaSettings<S> {
         if revision < self.adopted && !followed.is_some_and(is_leaders) {
             return Adoption::Old;
         }
-        let sent = announced.header.stages.last().map(|stage| stage.published).unwrap_or_default();
+        let sent = sent(announced);
         let is_overtaken =
             sent < self.adopted_sent && self.adopted_sent.since(sent) < LONGEST_DELAY;
         if revision == self.adopted && is_overtaken {
@@ -355,12 +403,18 @@ impl<S: Settings> ReplicaSettings<S> {
         let (before, were_known) = (self.patch.clone(), self.are_known);
         self.accept(settings);
         self.adopted = revision;
+        self.basis = revision;
         self.adopted_sent = sent;
         self.are_from_disk = false;
         self.are_known = true;
         let current = &self.current;
         let are_own_said = self.confirmations_left > 0;
-        self.missed.adopted(revision, are_own_said, |patch| has(current, patch));
+        let (values, own) = (serde_json::to_value(current).unwrap_or_default(), &self.own_values);
+        let is_unknown = |field: &str| {
+            own.get(field)
+                .is_none_or(|own| values.get(field).is_some_and(|value| !own.contains(value)))
+        };
+        self.missed.adopted(revision, are_own_said, |patch| has(current, patch), is_unknown);
         let is_same = self.patch == before && were_known;
         if is_same { Adoption::Unchanged } else { Adoption::Changed }
     }
@@ -379,6 +433,11 @@ impl<S: Settings> ReplicaSettings<S> {
         }
         self.of_next_leader.take_if(|waiting| waiting.header.revision.term <= leader.term)
     }
+}
+
+/// When settings were announced or answered, by the clock of their sender.
+fn sent(announced: &AnnouncedSettings) -> Tick {
+    announced.header.stages.last().map(|stage| stage.published).unwrap_or_default()
 }
 
 /// Whether a patch would change nothing.

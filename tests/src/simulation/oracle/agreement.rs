@@ -217,11 +217,14 @@ impl Oracle {
 
     /// Where no robot lives, no service that runs may still publish robots. If it was killed together with
     /// all that remembered its output, it need not publish an empty one.
+    /// Whether the instance of a service that published last runs still, and answers for it.
+    pub(crate) fn last_runs(&self, service: ServiceName, ground_truth: &GroundTruth<'_>) -> bool {
+        let last = self.last_by.get(&service);
+        last.is_some_and(|publisher| ground_truth.running.contains(publisher))
+    }
+
     fn without_robots(&self, ground_truth: &GroundTruth<'_>) -> Result<Agreed, String> {
-        let runs = |service: ServiceName| {
-            let last = self.last_by.get(&service);
-            last.is_some_and(|publisher| ground_truth.running.contains(publisher))
-        };
+        let runs = |service: ServiceName| self.last_runs(service, ground_truth);
         let embedded = self.embeddings.last().is_some_and(|last| !last.robots.is_empty());
         let divided = self.divisions.last();
         let divided =
