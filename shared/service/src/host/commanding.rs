@@ -89,12 +89,15 @@ impl<C: Core> Host<C> {
         if facilities.replica.election.has_term() {
             return self.make_up_for(outcome);
         }
-        // What was refused has changed nothing, and any number of such may come: it is not worth a write.
-        if facilities.operator_commands.remember(Arc::clone(&outcome)) && outcome.refused.is_none()
-        {
-            let election = &facilities.replica.election;
-            let (followed, replaced) = (election.followed(), election.replaced_term());
+        let is_new = facilities.operator_commands.remember(Arc::clone(&outcome));
+        let election = &facilities.replica.election;
+        let (followed, replaced) = (election.followed(), election.replaced_term());
+        // What was refused has changed nothing, and any number of such may come: it is not worth a write. What the leader says that
+        // is replaced may have been received before it was followed.
+        if outcome.refused.is_none() && (is_new || replaced.is_some()) {
             facilities.replica.settings.note_outcome(&outcome, followed, replaced);
+        }
+        if outcome.refused.is_none() && is_new {
             facilities.store();
         }
     }
