@@ -69,7 +69,7 @@ fn a_command_is_carried_out_once_and_its_first_answer_is_given_again() {
 }
 
 #[test]
-fn what_a_suspect_has_answered_is_told_once_it_leads_again() {
+fn what_a_suspect_has_answered_is_published_once_it_leads_again() {
     let mut driven = Driven::leading();
     driven.input(Input::LinkLost);
     set(&mut driven, "kim/c1", &json!({"teams": 7})).unwrap();

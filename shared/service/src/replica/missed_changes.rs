@@ -82,8 +82,8 @@ pub(crate) enum ConfirmedBy {
     Own,
     /// The leader that was followed then: it counts even if that has a lower term than the settings.
     Followed,
-    /// The same, but it is known by its answers to the instance that takes over from it: when that was is told by the
-    /// operator's clock alone.
+    /// The same, but it is known by its answers to the instance that takes over from it: the operator's clock
+    /// alone says when that was.
     Replaced,
     /// Another instance.
     Other,

@@ -1,7 +1,8 @@
 //! Two instances of one service on a bus that loses, delays and mixes, with processes that die, hang and are cut off:
-//! in the end one leads, and both have what an operator was last told to be in force.
+//! in the end one leads, and both have what was last confirmed to an operator.
 //!
-//! The simulation does the same with all services. This one does nothing else, so that it tries a thousand times as many courses of events.
+//! The simulation does the same with all services. This one does nothing else, so that it tries twenty times as many courses of
+//! events in the same time.
 
 mod world;
 
@@ -56,7 +57,7 @@ fn planned() -> impl Strategy<Value = Planned> {
     all.prop_map(|(at, lasts, host, fault)| Planned { at: at * MS, lasts: lasts * MS, host, fault })
 }
 
-/// Each run tries the same courses, since one of a hundred thousand breaks the promise still. `PROPTEST_RNG_SEED` and `PROPTEST_CASES` try others,
+/// Each run tries the same courses: rare ones may break the promise still, and no run is to fail for what no change has caused. `PROPTEST_RNG_SEED` and `PROPTEST_CASES` try others,
 /// and `PAIR_LOG` names a file for what happened in a course that broke it.
 fn config() -> ProptestConfig {
     let mut config = ProptestConfig::default();

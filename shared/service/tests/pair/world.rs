@@ -96,10 +96,10 @@ enum Waiting {
 #[derive(Debug)]
 enum Event {
     Fault(usize),
-    /// Something arrives at a host, on the sessions of both ends.
+    /// Something arrives at a host, if its session is the same still.
     Arrives {
         to: usize,
-        sessions: [u32; 2],
+        session: u32,
         from: Option<usize>,
         what: Carried,
     },
@@ -142,10 +142,10 @@ struct Node {
     /// What came while it hung.
     waiting: VecDeque<Input>,
     starts_at: Micros,
-    /// Questions that are not answered yet: how many answers are still to come, what has come, and until when they are waited for.
+    /// Questions that are not answered yet: how many answers are still to come, and what has come.
     questions: BTreeMap<u64, (Ask, usize, Vec<Message>)>,
     /// Gets that are not answered yet.
-    gets: BTreeMap<u64, (Waiting, [u32; 2])>,
+    gets: BTreeMap<u64, Waiting>,
     /// How far the clock goes ahead of the bus.
     ahead: Micros,
     timer: Option<Tick>,
@@ -161,7 +161,7 @@ pub(super) struct World {
     chance: Chance,
     plan: Vec<Planned>,
     next_get: u64,
-    /// Commands that are not confirmed, and the number of the first.
+    /// How many commands there are, and the first that is not confirmed.
     wanted: usize,
     next: usize,
     /// The number of teams that was confirmed last, and in which term, if that is to hold. What a leader confirms that never received the
@@ -284,7 +284,7 @@ impl World {
                     self.end_question(host, question);
                 }
             }
-            Event::Arrives { to, from, sessions, what } => self.arrives(to, from, sessions, what),
+            Event::Arrives { to, from, session, what } => self.arrives(to, from, session, what),
         }
     }
 
@@ -436,7 +436,7 @@ impl World {
             self.ask(host, ask);
         }
         for reply in replies {
-            let Some((waiting, _)) = self.nodes[host].gets.remove(&reply.get.0) else { continue };
+            let Some(waiting) = self.nodes[host].gets.remove(&reply.get.0) else { continue };
             match waiting {
                 Waiting::Host(asker, process, question) => {
                     let messages = reply.answer.map(|_| reply.messages).unwrap_or_default();

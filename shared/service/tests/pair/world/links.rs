@@ -15,7 +15,7 @@ impl World {
         }
     }
 
-    /// A host is told that another one has come or gone. That is never lost while the session lasts.
+    /// A host learns that another one has come or gone. That is never lost while the session lasts.
     pub(super) fn token(&mut self, (of, run): (usize, u32), to: usize, alive: bool) {
         let process = self.nodes[to].process;
         let at = self.now + self.chance.within(TOKEN);
@@ -68,7 +68,7 @@ impl World {
             self.say(|| format!("{} is linked again", HOSTS[host]));
             let process = self.nodes[host].process;
             if self.nodes[host].bench.is_some() {
-                // The loss of the link is told first, however short it was.
+                // The loss of the link comes first, however short it was.
                 let at = self.now + TOKEN.end;
                 self.at(at, Event::Input(host, process, Input::LinkRestored));
                 self.tokens_appear(host);
@@ -104,20 +104,12 @@ impl World {
             at = at.max(self.nodes[to].link.free + 1);
             self.nodes[to].link.free = at;
         }
-        let session = |host: Option<usize>| host.map_or(0, |host| self.nodes[host].link.session);
-        let sessions = [session(from), session(Some(to))];
-        self.at(at, Event::Arrives { to, from, sessions, what });
+        let session = self.nodes[to].link.session;
+        self.at(at, Event::Arrives { to, from, session, what });
     }
 
-    pub(super) fn arrives(
-        &mut self,
-        to: usize,
-        from: Option<usize>,
-        sessions: [u32; 2],
-        what: Carried,
-    ) {
-        let session = |host: Option<usize>| host.map_or(0, |host| self.nodes[host].link.session);
-        if sessions[1] != session(Some(to)) {
+    pub(super) fn arrives(&mut self, to: usize, from: Option<usize>, session: u32, what: Carried) {
+        if session != self.nodes[to].link.session {
             return;
         }
         if self.nodes[to].link.is_silent {
@@ -131,7 +123,7 @@ impl World {
                 self.input(to, process, Input::Arrived(arrival));
             }
             Carried::Get(waiting, get) => {
-                self.nodes[to].gets.insert(get.get.0, (waiting, sessions));
+                self.nodes[to].gets.insert(get.get.0, waiting);
                 self.input(to, process, Input::Get(get));
             }
             Carried::Answer(process, question, messages) => {
