@@ -130,14 +130,11 @@ async fn a_late_subscriber_gets_everything() {
     for key in ["teams?format=json", "json/teams"] {
         assert_eq!(division(&late.get_one(key).await.unwrap()), formed, "{key}");
     }
-    let mut audit = Value::Null;
-    for _ in 0..50 {
-        audit = late.get_one("json/audit").await.unwrap();
-        if audit["silhouette"]["per_robot"].as_object().is_some_and(|all| all.len() == 8) {
-            break;
-        }
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
+    let judged = |audit: &Value| {
+        audit["silhouette"]["per_robot"].as_object().is_some_and(|all| all.len() == 8)
+    };
+    // The auditor judges a division after it was published; until the first there is no answer.
+    let audit = late.until("json/audit", Duration::from_secs(10), judged).await.unwrap();
     assert_eq!(audit["space"], "embedding");
     assert_eq!(audit["physical"]["space"], "physical");
     assert!(audit["silhouette"]["mean"].as_f64().unwrap() > 0.5, "{audit}");
