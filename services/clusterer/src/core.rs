@@ -8,6 +8,7 @@ mod wishing;
 
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
+use std::time::Duration;
 
 use muster_division::division::{DivisionError, Job, Staying, divide, same_data};
 use muster_division::identity::is_believable;
@@ -39,6 +40,7 @@ use crate::wishes::WishBook;
 
 use awaiting::Reunion;
 use numbers::Number;
+use output::dwell;
 use wishing::{Confirmation, NO_LONGER_LEADS};
 
 type Context<'a> = muster_service::Context<'a, Clusterer>;
@@ -69,6 +71,8 @@ struct Task {
     teams: u32,
     /// Which robots stay in their last team.
     staying: Staying,
+    /// Whether it is the first for what operators ask for.
+    is_asked_for: bool,
 }
 
 impl PartialEq for Task {
@@ -172,7 +176,7 @@ impl Clusterer {
         }
         let newest = newest.clone();
         let rules = self.rules(&settings);
-        let Number { teams, is_same, is_team_absent } =
+        let Number { teams, is_same, is_team_absent, is_asked_for } =
             self.decide_number(now, &settings, rules.as_ref(), &newest.embedding);
         let wished = rules.as_ref().map(|rules| rules.wished(self.division.as_deref()));
         let wished = wished.unwrap_or_default();
@@ -183,8 +187,15 @@ impl Clusterer {
             None if is_team_absent || self.still_keeps_teams(now) => Staying::KeepingTeams,
             None => Staying::None,
         };
-        let task =
-            Task { source: newest.clone(), settings, rules: rules.clone(), wished, teams, staying };
+        let task = Task {
+            source: newest.clone(),
+            settings,
+            rules: rules.clone(),
+            wished,
+            teams,
+            staying,
+            is_asked_for,
+        };
         if !self.flight.should_start(now, &task) {
             if self.flight.failure().is_none()
                 && let Some(published) = &mut self.published
@@ -275,7 +286,8 @@ impl Clusterer {
         // An embedding with the same data may have come while the job ran.
         let is_same = |newest: &&Received| same_data(&newest.embedding, &task.source.embedding);
         let source = self.newest.as_ref().filter(is_same).unwrap_or(&task.source).clone();
-        self.settle(context, teams, source);
+        let dwell = if task.is_asked_for { Duration::ZERO } else { dwell(context.settings()) };
+        self.settle(context, teams, source, dwell);
     }
 
     fn select(

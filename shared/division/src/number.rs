@@ -187,12 +187,15 @@ impl Placeable<'_> {
     }
 
     /// Whether something divides these robots into so many teams as the rules want it. Teams that wishes name must be
-    /// among them.
-    fn is_possible(&self, teams: u32) -> bool {
+    /// among them. One that rules name may be `replaced`, or not, by one that they do not name.
+    fn is_possible(&self, teams: u32, replaced: bool) -> bool {
         if self.robots.is_empty() {
             return true;
         }
-        let Columns { columns, closed } = self.columns(teams);
+        let Columns { columns, closed, is_named_replaced } = self.columns(teams);
+        if is_named_replaced && !replaced {
+            return false;
+        }
         let known: BTreeSet<&TeamId> = self.last.iter().flatten().copied().collect();
         let kept: BTreeSet<&TeamId> =
             columns.iter().filter_map(|column| column.last.as_ref()).collect();
@@ -202,25 +205,35 @@ impl Placeable<'_> {
         !is_left_out && self.rules.is_possible(&columns, &self.robots)
     }
 
-    /// The numbers of teams into which something divides these robots as the rules want it: the best one and the last
-    /// one, and all if the best is not among them. Where there is none while a team is absent, that team keeps its seat no longer:
-    /// all numbers that `asked` allows are wanted then.
+    /// The numbers of teams into which something divides these robots as the rules want it. Where there is none while a
+    /// team is absent, that team keeps its seat no longer: all numbers that `asked` allows are wanted then.
     fn possible(&self, demand: &mut Demand, asked: TeamCount, best: u32) -> Vec<u32> {
-        let range = demand.wanted.range();
-        let is_possible = |teams: &u32| self.is_possible(*teams);
-        if is_possible(&best) {
-            let last = demand.current.filter(|last| *last != best && range.contains(last));
-            return [best].into_iter().chain(last.filter(is_possible)).collect();
-        }
-        let possible: Vec<u32> = range.filter(is_possible).collect();
+        let possible = self.possible_of(demand.wanted, demand.current, best);
         if !possible.is_empty() || demand.absent == 0 {
             return possible;
         }
-        let all: Vec<u32> = asked.range().filter(is_possible).collect();
+        let all = self.possible_of(asked, None, best);
         if !all.is_empty() {
             demand.wanted = asked;
         }
         all
+    }
+
+    /// The possible ones of these numbers: the best one and the last one, and all if the best is not among them. A team
+    /// that rules name is replaced by one that they do not name only if no number is possible with it. Else a number would
+    /// be possible as soon as the one that is chosen instead has brought such a team about.
+    fn possible_of(&self, wanted: TeamCount, last: Option<u32>, best: u32) -> Vec<u32> {
+        let range = wanted.range();
+        let last = last.filter(|last| *last != best && range.contains(last));
+        let numbers = |replaced| {
+            let is_possible = move |teams: &u32| self.is_possible(*teams, replaced);
+            if range.contains(&best) && is_possible(&best) {
+                return [best].into_iter().chain(last.filter(is_possible)).collect();
+            }
+            range.clone().filter(is_possible).collect::<Vec<_>>()
+        };
+        let possible = numbers(false);
+        if possible.is_empty() { numbers(true) } else { possible }
     }
 }
 

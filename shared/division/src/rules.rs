@@ -43,6 +43,8 @@ pub(crate) struct Columns {
     pub(crate) columns: Vec<TeamColumn>,
     /// Teams that robots were in and in which none may be.
     pub(crate) closed: BTreeSet<TeamId>,
+    /// Whether a team that rules name was left out for one that they do not name, as its limits do not fit.
+    pub(crate) is_named_replaced: bool,
 }
 
 /// A wish that counts, under the name that operators know it by.
@@ -320,6 +322,7 @@ impl TeamRules {
             (waits(id), !self.names(id), Reverse(count), identity::order(id))
         });
         let mut closed = BTreeSet::new();
+        let mut is_named_left_out = false;
         // Each turn but the last leaves out a team, so there are no more turns than teams.
         loop {
             let mut numbers = Numbers::after(previous, memory);
@@ -341,9 +344,12 @@ impl TeamRules {
             }
             let others: Vec<&TeamId> = known.iter().skip(teams).map(|(id, _)| *id).collect();
             let Some(id) = self.misfit(&columns, &others, robots.len()) else {
-                return Columns { columns, closed };
+                let is_unnamed = |column: &TeamColumn| !self.names(&column.team);
+                let is_named_replaced = is_named_left_out && columns.iter().any(is_unnamed);
+                return Columns { columns, closed, is_named_replaced };
             };
             known.retain(|(other, _)| **other != id);
+            is_named_left_out |= self.names(&id);
         }
     }
 

@@ -224,7 +224,8 @@ impl World {
 
     /// The division is what was proposed. A proposal of several commands, or one that changes the vectors, is one of
     /// several steps, of which each begins where the one before has ended. A planner that did not run all the time, or was
-    /// cut off, does not know which teams are absent or have ended lately: their seats are kept, and their ids given back.
+    /// cut off, does not know which teams are absent or have ended lately, whose seats are kept and ids given back, nor in
+    /// which team a robot was that had no place lately.
     fn compare(&mut self, proposal: &Proposal) {
         let parts = ProposalRequest::SERVICES.map(|service| proposal.asked.patch(service));
         let commands = parts.iter().filter(|patch| !patch.is_empty()).count()
@@ -260,6 +261,10 @@ impl World {
             was_given && !was_there(id)
         };
         if last.teams.iter().any(|team| is_back(&team.id)) {
+            return;
+        }
+        let is_placed = |robot: &&RobotId| !last.unassigned.contains(robot);
+        if based_on.iter().any(|teams| teams.unassigned.iter().any(|robot| is_placed(&robot))) {
             return;
         }
         self.stats.proposals_compared += 1;

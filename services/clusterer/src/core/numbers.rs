@@ -21,6 +21,8 @@ pub(super) struct Number {
     pub(super) is_same: bool,
     /// Whether a whole team is absent.
     pub(super) is_team_absent: bool,
+    /// Whether operators have asked for something else since the last job.
+    pub(super) is_asked_for: bool,
 }
 
 impl Clusterer {
@@ -50,7 +52,7 @@ impl Clusterer {
         });
         let teams = self.count.decide(now, demand.wanted, shown, last, is_asked_for);
         let is_same = demand.current == Some(teams);
-        Number { teams, is_same, is_team_absent: demand.absent > 0 }
+        Number { teams, is_same, is_team_absent: demand.absent > 0, is_asked_for }
     }
 
     /// How many teams the robots that were there were divided into last, without those that were absent.

@@ -12,6 +12,7 @@ use muster_model::embedding::Embedding;
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::RobotId;
 use muster_model::roster::Presence;
+use muster_model::settings::ClustererSettings;
 use muster_model::teams::{HeldRobot, Limited, Teams};
 use muster_model::time::{Tick, seconds};
 use muster_wire::Message;
@@ -27,12 +28,17 @@ use crate::replacement::filled;
 const MAX_CHANGE_EVENTS: usize = 64;
 
 impl Clusterer {
-    /// Publishes a division, but for the robots that have not been in another team for long enough; or notes
-    /// when that is to be looked at again.
-    pub(super) fn settle(&mut self, context: &mut Context<'_>, new: Teams, source: Received) {
+    /// Publishes a division, but for the robots that have not been in another team for as long as the dwell time; or
+    /// notes when that is to be looked at again.
+    pub(super) fn settle(
+        &mut self,
+        context: &mut Context<'_>,
+        new: Teams,
+        source: Received,
+        dwell: Duration,
+    ) {
         let now = context.now();
         let before = self.division.clone();
-        let dwell = seconds(context.settings().dwell_s);
         let vacant = self.vacancies.count(now, Some(&new));
         let renewed = self.orders.renewed(now, self.roster.as_deref());
         let seated = before.as_deref().and_then(|before| reseated(before, &new));
@@ -96,7 +102,7 @@ impl Clusterer {
     /// When robots that were kept in their team may be published elsewhere.
     pub(super) fn settle_at(&self, view: &View<'_>) -> Option<Tick> {
         self.undecided.as_ref()?;
-        self.moves.due(seconds(view.settings().dwell_s))
+        self.moves.due(dwell(view.settings()))
     }
 
     /// Looks again at the robots that were kept in their team.
@@ -107,7 +113,7 @@ impl Clusterer {
             && asks_alike(undecided.rules.as_ref(), self.rules(context.settings()).as_ref())
         {
             let source = published.source.clone();
-            self.settle(context, undecided.teams, source);
+            self.settle(context, undecided.teams, source, dwell(context.settings()));
         }
     }
 
@@ -291,6 +297,11 @@ impl Clusterer {
         let published = self.published.as_ref()?;
         Some(published.at.after(seconds(view.settings().heartbeat_s)))
     }
+}
+
+/// How long another team of a robot must last where operators have asked for nothing else meanwhile.
+pub(super) fn dwell(settings: &ClustererSettings) -> Duration {
+    seconds(settings.dwell_s)
 }
 
 /// The robots with a team whose place nothing confirms, ordered by name.

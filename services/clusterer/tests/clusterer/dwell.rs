@@ -105,6 +105,25 @@ fn new_orders_are_followed_at_once_by_all_below() {
 }
 
 #[test]
+fn the_first_division_for_what_operators_ask_for_counts_at_once() {
+    let changes = [
+        ("service/clusterer/settings", r#"{"size":{"max":4}}"#),
+        ("wish/kim/w", r#"{"kind":"together","robots":["a","b"]}"#),
+        ("service/clusterer/settings", r#"{"hysteresis":0.01}"#),
+    ];
+    for (key, change) in changes {
+        let (mut bench, _) = divided(patient(), &before(1));
+        bench.receive_embedding(&after(2));
+        assert_eq!(short(&bench.division()), BEFORE);
+        bench.get(key, Some(change)).unwrap();
+        assert_eq!(short(&bench.take().teams.pop().unwrap().0), AFTER, "{change}");
+        // The next has to last again.
+        bench.receive_embedding(&before(3));
+        assert_eq!(short(&bench.division()), AFTER, "{change}");
+    }
+}
+
+#[test]
 fn who_is_new_and_what_was_asked_for_is_not_delayed() {
     let (mut bench, _) = divided(patient(), &before(1));
     bench.receive_embedding(&embedding(2, &[("a b c n", WEST), ("x y! z", EAST)]));

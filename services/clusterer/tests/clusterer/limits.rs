@@ -205,22 +205,36 @@ fn the_number_of_teams_is_one_that_the_limits_allow() {
     assert_eq!((four.requested, four.teams.len(), conflict(&four)), (4, 4, None));
 }
 
-/// A team that is too small for all is no reason to keep two, whichever of them has more robots.
 #[test]
 fn a_team_that_is_too_small_makes_room_for_one_that_is_not() {
-    let shown = |epoch, count, groups: &[(&str, [f64; 2])]| {
-        let mut embedding = Embedding::clone(&embedding(epoch, groups));
-        embedding.quality.teams_shown = Some(count);
-        Checked::new_unchecked(embedding)
-    };
-    let settings = ClustererSettings { teams: TeamCount::Auto, ..teams(1) };
-    let (mut bench, before) = divided(settings, &shown(1, 2, &[("a b c", WEST), ("x y", EAST)]));
+    let groups = [("a b c", WEST), ("x y", EAST)];
+    let (mut bench, before) = divided(teams(2), &embedding(1, &groups));
     assert_eq!(short(&before), "t1: a b c | t2: x y");
-    set(&mut bench, r#"{"team_size":{"t1":{"max":3}}}"#).unwrap();
-    bench.receive_embedding(&shown(2, 1, &[("a b c x y", WEST)]));
-    bench.wait(1.0);
+    set(&mut bench, r#"{"team_size":{"t1":{"max":3}},"teams":1}"#).unwrap();
     let last = bench.take().teams.pop().unwrap().0;
     assert_eq!((short(&last).as_str(), conflict(&last)), ("t2: a b c x y", None));
+}
+
+/// Else it would be replaced by the team that its limit has brought about.
+#[test]
+fn where_the_number_is_chosen_a_team_with_limits_is_replaced_by_none_without() {
+    let shown = |epoch, groups: &[(&str, [f64; 2])]| {
+        let mut embedding = Embedding::clone(&embedding(epoch, groups));
+        embedding.quality.teams_shown = Some(1);
+        Checked::new_unchecked(embedding)
+    };
+    let team_size = [(TeamId::new("t1").unwrap(), TeamSize { min: None, max: Some(3) })];
+    let settings =
+        ClustererSettings { teams: TeamCount::Auto, team_size: team_size.into(), ..teams(1) };
+    let (mut bench, one) = divided(settings, &shown(1, &[("a b c", WEST)]));
+    assert_eq!(short(&one), "t1: a b c");
+    for epoch in 2..5 {
+        bench.receive_embedding(&shown(epoch, &[("a b c", WEST), ("x y", EAST)]));
+        bench.wait(1.0);
+        let last = bench.take().teams.pop().unwrap().0;
+        assert_eq!(short(&last), "t1: a b c | t2: x y", "{epoch}");
+        assert_eq!(conflict(&last), None);
+    }
 }
 
 #[test]
@@ -315,11 +329,14 @@ fn the_prices_say_what_a_place_costs_and_who_is_kept_is_named() {
     // With a place more nobody needs to pay.
     set(&mut bench, r#"{"size":{"max":4}}"#).unwrap();
     let division = bench.division();
-    let held = vec![HeldRobot { robot: robot("d"), team: division.teams[0].id.clone() }];
-    assert_eq!((short(&division).as_str(), &division.held), ("t1: a b c | t2: d x y", &held));
-    bench.wait(0.6);
-    let division = bench.division();
     assert_eq!((short(&division).as_str(), division.held.len()), ("t1: a b c d | t2: x y", 0));
     let prices = &division.limited.as_ref().unwrap().prices;
     assert!(prices.iter().all(|price| price.abs() < 1e-9), "{prices:?}");
+    bench.receive_embedding(&embedding(2, &[("a b c", WEST), ("d x y", EAST)]));
+    let division = bench.division();
+    let held = vec![HeldRobot { robot: robot("d"), team: division.teams[1].id.clone() }];
+    assert_eq!((short(&division).as_str(), &division.held), ("t1: a b c d | t2: x y", &held));
+    bench.wait(0.6);
+    let division = bench.division();
+    assert_eq!((short(&division).as_str(), division.held.len()), ("t1: a b c | t2: d x y", 0));
 }
