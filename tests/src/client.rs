@@ -21,6 +21,9 @@ use zenoh::sample::SampleKind;
 /// How often a waiting test looks again.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
+/// How long a command waits for a service that answers that it is starting: two seconds on an idle machine.
+const SERVICE_STARTS_WITHIN: Duration = Duration::from_secs(20);
+
 /// Most messages that a watch keeps.
 const MAX_KEPT: usize = 100_000;
 
@@ -216,13 +219,14 @@ impl Client {
             return self.get_raw(tail, text, within).await;
         };
         let start = Instant::now();
+        let waits = within.max(SERVICE_STARTS_WITHIN);
         let answers = loop {
             let answers = self.get_raw(&key, Some(command.clone()), within).await?;
             // The same command again is carried out once.
             let starts = |answer: &Result<Value, String>| {
                 answer.as_ref().is_err_and(|error| error.contains("the service is starting"))
             };
-            if start.elapsed() > within || !answers.iter().any(|(_, answer)| starts(answer)) {
+            if start.elapsed() > waits || !answers.iter().any(|(_, answer)| starts(answer)) {
                 break answers;
             }
             sleep(Duration::from_millis(100)).await;

@@ -11,6 +11,8 @@ use muster_tests::cluster::Cluster;
 use muster_tests::process::{Process, program};
 use serde_json::{Value, json};
 
+use crate::pipeline::FORMED_WITHIN;
+
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "4", "--robots", "16"];
 const SOON: Duration = Duration::from_secs(20);
 const KILLS: usize = 20;
@@ -85,7 +87,7 @@ async fn what_is_published_as_recorded_is_in_the_file_after_twenty_kills() {
         (client.watch("json/event").await.unwrap(), client.watch("json/teams").await.unwrap());
     let states = client.watch("history/*/state").await.unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
-    teams.until("teams", SOON, |value| division(value).len() == 16).await.unwrap();
+    teams.until("teams", FORMED_WITHIN, |value| division(value).len() == 16).await.unwrap();
     let mut runs: Vec<Run> = Vec::new();
     for kill in 0..KILLS {
         let started = now();
@@ -181,7 +183,7 @@ async fn a_full_disk_costs_the_oldest_minutes_and_is_over_without_a_restart() {
     let teams = client.watch("json/teams").await.unwrap();
     let states = client.watch("history/*/state").await.unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
-    teams.until("teams", SOON, |value| division(value).len() == 16).await.unwrap();
+    teams.until("teams", FORMED_WITHIN, |value| division(value).len() == 16).await.unwrap();
     let historian = start_limited(&cluster, 2600);
     let is = |wanted: &'static str| move |event: &Value| event["event"] == wanted;
     newest(&states, 0.0, |_| true).await;
@@ -263,7 +265,7 @@ async fn a_disk_of_six_megabytes_fills_and_recording_goes_on_once_it_is_larger()
     let alerts = client.watch("json/alerts").await.unwrap();
     let states = client.watch("history/*/state").await.unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
-    teams.until("teams", SOON, |value| division(value).len() == 16).await.unwrap();
+    teams.until("teams", FORMED_WITHIN, |value| division(value).len() == 16).await.unwrap();
     let Some(historian) = start_on_small_disk(&cluster, 6) else { return };
     let is = |wanted: &'static str| move |event: &Value| event["event"] == wanted;
     newest(&states, 0.0, |_| true).await;
@@ -351,7 +353,7 @@ async fn the_past_is_shown_by_the_commands() {
     cluster.start_service("historian").unwrap();
     let teams = client.watch("json/teams").await.unwrap();
     let mut robots = cluster.robots(&SCENARIO).unwrap();
-    teams.until("teams", SOON, |value| division(value).len() == 16).await.unwrap();
+    teams.until("teams", FORMED_WITHIN, |value| division(value).len() == 16).await.unwrap();
     tokio::time::sleep(Duration::from_secs(2)).await;
     let (wanted, moment) = (division(&teams.newest().unwrap()), now());
     client.get("service/clusterer/settings", Some(&json!({"teams": 2}))).await.unwrap();

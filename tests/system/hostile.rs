@@ -7,7 +7,7 @@ use muster_tests::client::{Client, Division, division};
 use muster_tests::cluster::{Cluster, SERVICES};
 use serde_json::{Value, json};
 
-use crate::pipeline::{formed, truth};
+use crate::pipeline::{FORMED_WITHIN, formed, truth};
 
 const SCENARIO: [&str; 4] = ["--scenario", "clusters", "--robots", "8"];
 
@@ -173,7 +173,7 @@ async fn a_replayed_pose_or_one_of_another_frame_moves_no_robot() {
     while client.get_one("roster?format=json").await.is_err() {
         put(1.0, seq, "a", "map").await;
         seq += 1;
-        assert!(start.elapsed() < Duration::from_secs(10));
+        assert!(start.elapsed() < FORMED_WITHIN);
     }
     let is_at = async |wanted: f64, why: &str| {
         let right = |roster: &Value| roster["robots"][0]["position"][0] == wanted;

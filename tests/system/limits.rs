@@ -5,6 +5,8 @@ use std::time::Duration;
 use muster_tests::cluster::Cluster;
 use serde_json::{Value, json};
 
+use crate::pipeline::FORMED_WITHIN;
+
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "3", "--robots", "12"];
 
 /// Robots per team, in the order of the teams.
@@ -25,7 +27,7 @@ async fn limits_hold_are_refused_where_they_cannot_and_say_when_they_no_longer_d
     let watch = client.watch("json/teams").await.unwrap();
     let events = client.watch("json/event").await.unwrap();
     let has = |count: usize| move |value: &Value| sizes(value).iter().sum::<usize>() == count;
-    let free = watch.until("ten robots", Duration::from_secs(20), has(10)).await.unwrap();
+    let free = watch.until("ten robots", FORMED_WITHIN, has(10)).await.unwrap();
     assert!(free["optimal"].is_null() && free["gap"].is_null() && free["conflict"].is_null());
 
     let (code, _, err) = cluster.muster(&["set", "clusterer", r#"size={"max":4}"#]).unwrap();

@@ -6,6 +6,8 @@ use std::time::{Duration, Instant};
 use muster_tests::cluster::{Cluster, Robots};
 use serde_json::Value;
 
+use crate::pipeline::FORMED_WITHIN;
+
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "2", "--robots", "10"];
 
 /// How long after the death of a medic is noticed its team may be without one: it gets one with the next division, and not only after
@@ -65,7 +67,7 @@ async fn when_a_medic_is_killed_another_one_comes_and_where_there_is_none_an_ale
         let members = |team: &Value| team["members"].as_array().map_or(0, Vec::len);
         value["teams"].as_array().is_some_and(|all| all.iter().map(members).sum::<usize>() == 10)
     };
-    watch.until("ten robots", Duration::from_secs(20), all).await.unwrap();
+    watch.until("ten robots", FORMED_WITHIN, all).await.unwrap();
 
     let wrong = NEEDS.replace(":1", ":2");
     let (code, _, err) = cluster.muster(&["set", "clusterer", &wrong]).unwrap();

@@ -6,7 +6,10 @@ use muster_tests::client::division;
 use muster_tests::cluster::Cluster;
 use serde_json::{Value, json};
 
-use crate::pipeline::{formed, truth};
+use crate::pipeline::{FORMED_WITHIN, formed, truth};
+
+/// How long a change of two to five seconds is waited for: a pause of `ingest` begins its times again.
+const NOTICED_WITHIN: Duration = Duration::from_secs(20);
 
 fn event<'a>(name: &'a str, robot: &'a str) -> impl Fn(&Value) -> bool + 'a {
     move |value| value["event"] == name && value["robot"] == robot
@@ -28,21 +31,22 @@ async fn a_robot_that_dies_is_marked_stale_and_then_leaves() {
     let teams = client.watch("json/teams").await.unwrap();
     let before = formed(&client, &truth).await;
 
+    events.clear();
     doomed.kill().unwrap();
     let died = Instant::now();
-    let stale = events.until("a stale robot", Duration::from_secs(5), event("robot_stale", last));
+    let stale = events.until("a stale robot", NOTICED_WITHIN, event("robot_stale", last));
     stale.await.unwrap();
     let stale_after = died.elapsed();
     let marked = |value: &Value| value["stale"] == json!([last]) && division(value) == before;
-    teams.until("the stale robot keeps its team", Duration::from_secs(3), marked).await.unwrap();
-    let left = events.until("a robot leaves", Duration::from_secs(8), event("robot_left", last));
+    teams.until("the stale robot keeps its team", NOTICED_WITHIN, marked).await.unwrap();
+    let left = events.until("a robot leaves", NOTICED_WITHIN, event("robot_left", last));
     left.await.unwrap();
     let left_after = died.elapsed();
     let without = |value: &Value| {
         let division = division(value);
         !division.contains_key(last) && division.len() == 7
     };
-    let after = teams.until("teams without it", Duration::from_secs(3), without).await.unwrap();
+    let after = teams.until("teams without it", NOTICED_WITHIN, without).await.unwrap();
     for (robot, team) in division(&after) {
         assert_eq!(team, before[&robot], "{robot} stays where it was");
     }
@@ -53,7 +57,7 @@ async fn a_robot_that_dies_is_marked_stale_and_then_leaves() {
     let _again = cluster.robots(&[&scenario[..], &["--only", last]].concat()).unwrap();
     let back = |value: &Value| division(value) == before;
     teams.clear();
-    teams.until("it comes back", Duration::from_secs(5), back).await.unwrap();
+    teams.until("it comes back", FORMED_WITHIN, back).await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -62,12 +66,11 @@ async fn a_token_without_a_pose_is_known_and_unplaced() {
     let client = cluster.client().await.unwrap();
     let token = client.token("robot/quiet").await.unwrap();
     let is_known = |roster: &Value| roster["robots"][0]["robot"] == "quiet";
-    let within = Duration::from_secs(5);
-    let roster = client.until("roster?format=json", within, is_known).await.unwrap();
+    let roster = client.until("roster?format=json", FORMED_WITHIN, is_known).await.unwrap();
     assert_eq!(roster["robots"][0]["position"], Value::Null);
     let teams = client.watch("json/teams").await.unwrap();
     let right = |value: &Value| value["unassigned"] == json!(["quiet"]);
-    teams.until("it has no team", Duration::from_secs(5), right).await.unwrap();
+    teams.until("it has no team", FORMED_WITHIN, right).await.unwrap();
     // A put on the key of the token is no token.
     client.put("robot/imposter", &json!({})).await.unwrap();
     tokio::time::sleep(Duration::from_millis(500)).await;

@@ -9,7 +9,7 @@ use muster_tests::client::{Client, Watch, division};
 use muster_tests::cluster::{Cluster, ClusterOptions, robots_of};
 use serde_json::{Value, json};
 
-use crate::pipeline::{formed, groups, truth};
+use crate::pipeline::{FORMED_WITHIN, formed, groups, truth};
 
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "3", "--robots", "12"];
 const SOON: Duration = Duration::from_secs(20);
@@ -56,7 +56,7 @@ async fn at_rest(watch: &Watch, teams: usize) -> Division {
             && division.values().all(Option::is_some)
             && groups(division).len() == teams
     };
-    let mut last = division(&watch.until("the teams", SOON, has).await.unwrap());
+    let mut last = division(&watch.until("the teams", FORMED_WITHIN, has).await.unwrap());
     let mut since = Instant::now();
     while since.elapsed() < STANDS {
         watch.clear();

@@ -135,7 +135,7 @@ fn schema_of(key: &str) -> String {
 async fn everything_that_a_live_fleet_says_in_json_is_valid() {
     let settings = [
         ("ingest", "modalities=[\"thermal\"]"),
-        ("ingest", "gone_after_s=3.0"),
+        ("ingest", "gone_after_s=6.0"),
         ("clusterer", "teams=2"),
     ];
     let mut cluster = Cluster::start("alpha", &settings).unwrap();

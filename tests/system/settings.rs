@@ -7,7 +7,7 @@ use muster_tests::client::division;
 use muster_tests::cluster::{Cluster, SERVICES};
 use serde_json::{Value, json};
 
-use crate::pipeline::{formed, truth};
+use crate::pipeline::{FORMED_WITHIN, formed, truth};
 
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "4", "--robots", "16"];
 
@@ -21,7 +21,7 @@ async fn settings_change_at_once_and_survive_a_restart() {
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let watch = client.watch("json/teams").await.unwrap();
-    watch.until("two teams", Duration::from_secs(20), teams(2)).await.unwrap();
+    watch.until("two teams", FORMED_WITHIN, teams(2)).await.unwrap();
 
     let answer =
         client.get("service/clusterer/settings", Some(&json!({"teams": 4}))).await.unwrap();
@@ -47,7 +47,7 @@ async fn a_search_proposes_settings_for_the_live_fleet_and_applies_them() {
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let watch = client.watch("json/teams").await.unwrap();
-    watch.until("four teams", Duration::from_secs(20), teams(4)).await.unwrap();
+    watch.until("four teams", FORMED_WITHIN, teams(4)).await.unwrap();
     let weak = json!({"alpha": {"fraction": 0.05}, "rows": "none"});
     client.get("service/embedder/settings", Some(&weak)).await.unwrap()[0].1.clone().unwrap();
 
@@ -113,7 +113,7 @@ async fn the_console_sets_and_shows_settings() {
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let watch = client.watch("json/teams").await.unwrap();
-    watch.until("two teams", Duration::from_secs(20), teams(2)).await.unwrap();
+    watch.until("two teams", FORMED_WITHIN, teams(2)).await.unwrap();
     let (code, out, err) = cluster.muster(&["set", "clusterer", "teams=3", "--json"]).unwrap();
     assert_eq!(code, Some(0), "{err}");
     assert_eq!(serde_json::from_str::<Value>(&out).unwrap()["teams"], 3);
@@ -132,7 +132,7 @@ async fn a_decay_that_the_fleet_does_not_allow_is_refused_with_the_limit() {
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let watch = client.watch("json/teams").await.unwrap();
-    watch.until("two teams", Duration::from_secs(20), teams(2)).await.unwrap();
+    watch.until("two teams", FORMED_WITHIN, teams(2)).await.unwrap();
     let (code, _, err) = cluster.muster(&["set", "embedder", "alpha=5"]).unwrap();
     assert_eq!(code, Some(2), "{err}");
     assert!(err.contains("alpha: 5 must be less than 1/ρ = ") && err.contains("fraction"), "{err}");

@@ -63,6 +63,7 @@ async fn services_that_have_lost_all_state_are_believed_at_once() {
     let teams = client.watch("json/teams").await.unwrap();
     let own = client.watch("robot/*/team").await.unwrap();
     teams.until("a division", SOON, |value| place(value).1 > 3).await.unwrap();
+    own.until("a team of a robot", SOON, |_| true).await.unwrap();
     kill_all(&mut cluster);
     std::fs::remove_dir_all(cluster.folder().join("state")).unwrap();
     let since = now();

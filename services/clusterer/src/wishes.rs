@@ -109,6 +109,17 @@ impl WishBook {
         self.all.values().filter_map(due).min()
     }
 
+    /// Notes of those that are said to be granted what becomes of them by the division that an instance goes on from: it may
+    /// be another one than that which the list is about.
+    pub(crate) fn check_granted(&mut self, division: Option<&Teams>) {
+        let assessment = division.map(Assessment::of_last);
+        for one in self.all.values_mut().filter(|one| one.state == WishState::Active) {
+            let next = || (WishState::Waiting, Some(NEXT_DIVISION.to_owned()));
+            let last = assessment.as_ref().map(|assessment| assessment.state(&one.wish));
+            (one.state, one.reason) = last.unwrap_or_else(next);
+        }
+    }
+
     /// Notes what has become of each wish in a division of an embedding. Returns those that have come to another state.
     pub(crate) fn assess(&mut self, teams: &Teams, embedding: &Embedding) -> Vec<WishName> {
         let assessment = Assessment::of(teams, embedding);

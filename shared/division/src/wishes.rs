@@ -27,11 +27,23 @@ impl<'a> Assessment<'a> {
     /// Of a division and the embedding that was divided.
     #[must_use]
     pub fn of(teams: &'a Teams, embedding: &'a Embedding) -> Self {
-        let placed = teams.assignments().map(|(robot, team)| (robot.clone(), team.clone()));
         let robots = embedding.robots.iter().zip(&embedding.without_embedding);
+        let there = robots.filter(|(_, without)| !**without).map(|(robot, _)| robot);
+        Self::with_robots(teams, there.collect())
+    }
+
+    /// Of a division whose embedding may be lost: all its robots count as having one.
+    #[must_use]
+    pub fn of_last(teams: &'a Teams) -> Self {
+        let placed = teams.assignments().map(|(robot, _)| robot);
+        Self::with_robots(teams, placed.chain(&teams.unassigned).collect())
+    }
+
+    fn with_robots(teams: &'a Teams, there: BTreeSet<&'a RobotId>) -> Self {
+        let placed = teams.assignments().map(|(robot, team)| (robot.clone(), team.clone()));
         Self {
             placed: placed.collect(),
-            there: robots.filter(|(_, without)| !**without).map(|(robot, _)| robot).collect(),
+            there,
             living: teams.teams.iter().map(|team| &team.id).collect(),
             conflict: teams.limited.as_ref().and_then(|limited| limited.conflict.as_deref()),
         }

@@ -27,6 +27,9 @@ pub struct Stored {
     /// None where that is not known.
     #[serde(default)]
     pub basis: Option<Revision>,
+    /// When that leader had sent them, by its clock. It may have changed them without a new revision.
+    #[serde(default)]
+    pub basis_sent: Tick,
     /// Those of the commands whose change the patch lacks: they were confirmed by another leader whose settings it had not received.
     #[serde(default)]
     pub missed: Vec<(OperatorId, CommandId)>,

@@ -253,6 +253,8 @@ fn refused_commands_are_remembered_in_a_bounded_number_and_displace_none_that_wa
 /// A standby of a leader that had five teams, which has confirmed another number, and the outcome of that command.
 fn after_a_change(teams: u32) -> (Driven<ONE_LEADS>, Arc<CommandOutcome>) {
     let mut leader = Driven::<ONE_LEADS>::leading();
+    // The settings that the standby has were sent before.
+    leader.wait(0.1);
     set(&mut leader, "kim/c1", &json!({"teams": teams})).unwrap();
     let outcome = outcomes(&leader)[0].clone();
     let Revision { term, epoch } = outcome.header.revision;
@@ -285,6 +287,36 @@ fn a_change_whose_announcement_was_lost_with_the_leader_holds_by_its_outcome() {
     standby.receive(settings(term, epoch + 1, 6));
     take_over(&mut standby);
     assert_eq!(standby.teams(), 6);
+}
+
+/// A leader that has published nothing changes its settings under one revision.
+#[test]
+fn a_change_from_before_the_settings_of_the_same_revision_does_not_come_back() {
+    let mut leader = Driven::<ONE_LEADS>::leading();
+    set(&mut leader, "kim/c1", &json!({"teams": 7})).unwrap();
+    leader.wait(1.0);
+    let outcome = outcomes(&leader)[0].clone();
+    let Revision { term, epoch } = outcome.header.revision;
+    let later = settings_sent(leader.now, term, epoch, 6);
+    let mut standby = Driven::<ONE_LEADS>::answered(vec![renewal("a", term, epoch), later]);
+    standby.receive(Message::Outcome(outcome));
+    take_over(&mut standby);
+    assert_eq!(standby.teams(), 6);
+}
+
+/// It led with settings from before the change, and has confirmed another one since, which says nothing of the first.
+#[test]
+fn a_change_that_a_leader_did_not_know_counts_after_its_restart() {
+    let (mut standby, outcome) = after_a_change(7);
+    take_over(&mut standby);
+    set(&mut standby, "kim/c2", &json!({"restarts": 9})).unwrap();
+    let stored = standby.stored.clone();
+    let said = Message::Outcome(outcome);
+    let new = Driven::<ONE_LEADS>::restarted(stored.clone(), vec![said.clone()]);
+    assert_eq!((new.host.replica_state(), new.teams()), (ReplicaState::Leading, 7));
+    let mut new = Driven::<ONE_LEADS>::restarted(stored, Vec::new());
+    new.receive(said);
+    assert_eq!((new.teams(), new.host.core().restarts), (7, 9));
 }
 
 #[test]
@@ -338,7 +370,7 @@ fn an_outcome_from_before_the_settings_on_the_disk_changes_nothing_after_a_resta
     let said = outcomes(&leader);
     let Revision { term, epoch } = said[1].header.revision;
     // A standby that was cut off missed the first command, and has the settings of after the second.
-    let answers = vec![renewal("a", term, epoch), settings(term, epoch, 6)];
+    let answers = vec![renewal("a", term, epoch), settings_sent(leader.now, term, epoch, 6)];
     let mut standby = Driven::<ONE_LEADS>::answered(answers);
     standby.receive(Message::Outcome(Arc::clone(&said[1])));
     let stored = standby.stored.clone();

@@ -194,6 +194,7 @@ fn recordings() -> Vec<Seed> {
             patch: [("teams".to_owned(), 3.into())].into_iter().collect(),
             commands: Vec::new(),
             basis: Some(Revision { term: 2, epoch: 5 }),
+            basis_sent: Tick(9),
             missed: vec![(OperatorId::new("kim").unwrap(), CommandId::new("c1").unwrap())],
         }),
         Command::ReplicaState(ReplicaState::Standby),

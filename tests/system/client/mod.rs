@@ -427,7 +427,7 @@ async fn a_robot_learns_what_services_refuse_of_it() {
             }
         }
     };
-    let refused = timeout(RECEIVED_WITHIN, learned).await.expect("a refusal");
+    let refused = timeout(FORMED_WITHIN, learned).await.expect("a refusal");
     assert!(refused.reason.starts_with("frame: \"mars\" is not known"), "{}", refused.reason);
     assert_eq!(refused.key, "muster/v1/alpha/robot/r1/pose");
     let other = timeout(RECEIVED_WITHIN, second.next()).await.expect("the same refusal").unwrap();

@@ -372,6 +372,22 @@ fn a_standby_knows_the_wishes_and_takes_them_over() {
     assert_eq!(short(&next.take().teams.last().unwrap().0), "t1: b c | t2: a x y z");
 }
 
+/// The list may be of a later division than the one that is found, as where that one was forged.
+#[test]
+fn a_wish_is_not_said_to_be_granted_by_a_division_that_does_not_grant_it() {
+    let (mut leader, before) = divided(fixed(), &six(1));
+    put(&mut leader, "alice/p", &pin(&["a"], "t2")).unwrap();
+    let list = leader.get("wishes", None).unwrap();
+    assert_eq!(states(&mut leader), ["alice/p Active"]);
+    let found = vec![mirrored(&before), list[0].clone(), Message::Embedding(six(1))];
+    let next = Bench::restored(fixed(), found);
+    let published = next.published.iter().filter_map(|message| match message {
+        Message::Wishes(list) => Some(list.wishes[0].state),
+        _ => None,
+    });
+    assert_eq!(published.collect::<Vec<_>>(), [WishState::Waiting, WishState::Active]);
+}
+
 /// The leader was lost after it had confirmed a wish, and its list was never received; or it had withdrawn one.
 #[test]
 fn a_wish_that_was_confirmed_by_a_leader_whose_list_was_lost_counts() {

@@ -35,7 +35,7 @@ pub(crate) struct OutcomeMoment {
     /// That of the last output of the leader then.
     pub(crate) revision: Revision,
     /// When it was confirmed, by the clock of that leader.
-    confirmed: Tick,
+    pub(crate) confirmed: Tick,
 }
 
 impl OutcomeMoment {
@@ -93,8 +93,8 @@ pub(crate) enum ConfirmedBy {
 #[derive(Debug)]
 pub(crate) struct MissedChange {
     name: CommandName,
-    /// The revision of the settings in which it is in force.
-    revision: Revision,
+    /// When it was confirmed: it is in the settings that the same leader sent later.
+    moment: OutcomeMoment,
     confirmed_by: ConfirmedBy,
     pub(crate) time: CommandTime,
     pub(crate) patch: Map<String, Value>,
@@ -104,7 +104,7 @@ impl MissedChange {
     /// The term of the leader that has confirmed it while it was followed: it is later than all changes of other terms,
     /// whatever the clocks of other instances say.
     pub(crate) fn confirmed_lately_in(&self) -> Option<u64> {
-        (self.confirmed_by == ConfirmedBy::Followed).then_some(self.revision.term)
+        (self.confirmed_by == ConfirmedBy::Followed).then_some(self.moment.revision.term)
     }
 }
 
@@ -119,9 +119,9 @@ impl MissedChanges {
             if self.0.len() >= MAX_MISSED {
                 self.0.pop_front();
             }
-            let (revision, time) = (outcome.header.revision, CommandTime::of(outcome));
+            let (moment, time) = (OutcomeMoment::of(outcome), CommandTime::of(outcome));
             let name = (outcome.operator.clone(), outcome.id.clone());
-            self.0.push_back(MissedChange { name, revision, confirmed_by, time, patch });
+            self.0.push_back(MissedChange { name, moment, confirmed_by, time, patch });
         }
     }
 
@@ -130,37 +130,36 @@ impl MissedChanges {
         self.0.iter().map(|missed| (&missed.name, &missed.patch))
     }
 
-    /// Settings of a revision were adopted. Those of the same revision may be of before a change, or have it. A new leader
-    /// may not have received yet what this instance had confirmed, as long as that is said again (`are_own_said`). A field whose value
+    /// Settings that were sent at a moment were adopted. A new leader may not have received yet what this instance had confirmed, as long as that is said again (`are_own_said`). A field whose value
     /// this instance never had (`is_unknown`) was changed by a leader after it, which counts.
     pub(crate) fn adopted(
         &mut self,
-        revision: Revision,
+        sent: OutcomeMoment,
         are_own_said: bool,
         has: impl Fn(&Map<String, Value>) -> bool,
         is_unknown: impl Fn(&str) -> bool,
     ) {
         self.0.retain_mut(|missed| match missed.confirmed_by {
             // Its own settings may come back from the bus.
-            ConfirmedBy::Own if missed.revision.term == revision.term => true,
+            ConfirmedBy::Own if missed.moment.revision.term == sent.revision.term => true,
             ConfirmedBy::Own => {
-                let is_of_before = missed.revision.term < revision.term;
+                let is_of_before = missed.moment.revision.term < sent.revision.term;
                 missed.patch.retain(|field, _| !(is_of_before && is_unknown(field)));
                 are_own_said && !has(&missed.patch)
             }
             ConfirmedBy::Followed | ConfirmedBy::Replaced | ConfirmedBy::Other => {
-                missed.revision >= revision && !has(&missed.patch)
+                missed.moment > sent && !has(&missed.patch)
             }
         });
     }
 
-    /// The changes since settings of a revision, the oldest first; they are given once.
-    pub(crate) fn take_since(&mut self, revision: Revision) -> Vec<MissedChange> {
+    /// The changes since settings that were sent at a moment, the oldest first; they are given once.
+    pub(crate) fn take_since(&mut self, sent: OutcomeMoment) -> Vec<MissedChange> {
         let mut all = std::mem::take(&mut self.0);
         // Several instances may have said them, each in its own order.
-        all.make_contiguous().sort_by_key(|missed| missed.revision);
+        all.make_contiguous().sort_by_key(|missed| missed.moment);
         let counts = |missed: &MissedChange| {
-            missed.confirmed_by != ConfirmedBy::Other || missed.revision >= revision
+            missed.confirmed_by != ConfirmedBy::Other || missed.moment > sent
         };
         all.into_iter().filter(counts).collect()
     }

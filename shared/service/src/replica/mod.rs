@@ -70,6 +70,8 @@ impl<S: Settings> Replica<S> {
         };
         let stored = start.stored.commands.iter().filter(is_in_patch).map(OutcomeMoment::of);
         let newest_outcome = stored.max().unwrap_or_default();
+        let confirmed = start.stored.basis_sent;
+        let basis = start.stored.basis.map(|revision| OutcomeMoment { revision, confirmed });
         // A standby that never led has settings of its leader, and no term.
         let has_some = !start.stored.patch.is_empty() || newest_outcome.revision.term > 0;
         let are_settings_known = !start.stored.lacks_settings && (stored_term > 0 || has_some);
@@ -85,7 +87,7 @@ impl<S: Settings> Replica<S> {
                 start.settings,
                 &start.stored.patch,
                 are_settings_known.then_some(revision),
-                start.stored.basis,
+                basis,
                 newest_outcome,
             ),
             refusals: Refusals::default(),
@@ -159,12 +161,14 @@ impl<S: Settings> Replica<S> {
 
     /// What is kept over a restart, without the commands.
     pub(crate) fn stored(&self) -> Stored {
+        let (basis, basis_sent) = self.settings.basis();
         Stored {
             term: self.stored_term,
             patch: self.settings.patch().clone(),
             lacks_settings: !self.settings.are_known(),
             commands: Vec::new(),
-            basis: Some(self.settings.basis()),
+            basis: Some(basis),
+            basis_sent,
             missed: self.settings.missed_commands().cloned().collect(),
         }
     }

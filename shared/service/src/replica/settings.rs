@@ -79,8 +79,9 @@ pub(crate) struct ReplicaSettings<S> {
     own_values: BTreeMap<String, Vec<Value>>,
     /// The revision of the settings of another leader that were adopted last: no change of a lower one is missing.
     basis: Revision,
-    /// The newest outcome that was stored with the settings: what came of commands up to it is in them, though a standby
-    /// does not know after a restart of which revision they are.
+    /// When those were sent, by the clock of that leader.
+    basis_sent: Tick,
+    /// What was confirmed up to then is in the settings that were on the disk, and what this instance had confirmed itself.
     stored_with: OutcomeMoment,
     /// Whether the settings are those from the disk still. Which leaders they had followed is not known then: a change that
     /// is newer than all stored ones counts, even if a leader of a lower term has confirmed it, which was cut off and
@@ -116,14 +117,14 @@ pub(crate) enum Adoption {
 
 impl<S: Settings> ReplicaSettings<S> {
     /// The settings with the stored patch, which are those of the fleet at `known` (none if they were never known). They go on from
-    /// those of another leader at `basis`, if that is known, and were stored with outcomes up to `stored_with`. Fields that do not fit are
-    /// dropped: a service with an old state starts all the same.
+    /// those that another leader sent at `basis`. Where that is not known, they have what came of commands up to `newest`. Fields that do
+    /// not fit are dropped: a service with an old state starts all the same.
     pub(crate) fn new(
         base: S,
         patch: &Map<String, Value>,
         known: Option<Revision>,
-        basis: Option<Revision>,
-        stored_with: OutcomeMoment,
+        basis: Option<OutcomeMoment>,
+        newest: OutcomeMoment,
     ) -> Self {
         let (current, dropped) = restore(&base, patch);
         let patch = difference(&base, &current);
@@ -143,8 +144,9 @@ impl<S: Settings> ReplicaSettings<S> {
             queries: Queries::default(),
             missed: MissedChanges::default(),
             own_values: BTreeMap::new(),
-            basis: basis.or(known).unwrap_or_default(),
-            stored_with,
+            basis: basis.map(|basis| basis.revision).or(known).unwrap_or_default(),
+            basis_sent: basis.map(|basis| basis.confirmed).unwrap_or_default(),
+            stored_with: basis.unwrap_or(newest),
             are_from_disk: true,
         }
     }
@@ -203,9 +205,9 @@ impl<S: Settings> ReplicaSettings<S> {
         self.repeat_confirmations();
     }
 
-    /// The revision of the settings of another leader that were adopted last.
-    pub(crate) fn basis(&self) -> Revision {
-        self.basis
+    /// The revision of the settings of another leader that were adopted last, and when they were sent.
+    pub(crate) fn basis(&self) -> (Revision, Tick) {
+        (self.basis, self.basis_sent)
     }
 
     /// An instance that does not lead has received the outcome of a command. `followed` is the last output of its leader. If that is
@@ -217,13 +219,15 @@ impl<S: Settings> ReplicaSettings<S> {
         followed: Option<Revision>,
         replaced: Option<u64>,
     ) {
-        let (revision, known) = (outcome.header.revision, self.known_since());
+        let revision = outcome.header.revision;
+        let known = if self.are_from_disk { self.stored_with.revision } else { self.adopted };
         // Two instances may have begun the same term. What one has confirmed since its last output is in no settings of the other.
         let is_by_followed = followed.is_some_and(|leader| {
-            leader.term == revision.term && (leader.term < known.term || leader <= revision)
+            let is_above = leader.term < known.term || leader <= revision;
+            leader.term == revision.term && is_above
         });
         let is_by_replaced = replaced.is_some_and(|term| revision.term <= term);
-        let is_new = revision >= known && OutcomeMoment::of(outcome) > self.stored_with;
+        let is_new = OutcomeMoment::of(outcome) > self.known_since();
         let confirmed_by = match (is_by_followed, is_by_replaced) {
             (true, _) => ConfirmedBy::Followed,
             (false, true) => ConfirmedBy::Replaced,
@@ -234,9 +238,10 @@ impl<S: Settings> ReplicaSettings<S> {
         }
     }
 
-    /// No change of a lower revision is missing in the settings.
-    fn known_since(&self) -> Revision {
-        if self.are_from_disk { self.stored_with.revision } else { self.adopted }
+    /// What other leaders had confirmed up to then is in the settings.
+    fn known_since(&self) -> OutcomeMoment {
+        let basis = OutcomeMoment { revision: self.basis, confirmed: self.basis_sent };
+        if self.are_from_disk { self.stored_with } else { basis }
     }
 
     /// The commands whose changes the settings lack, and are to have once this instance leads.
@@ -403,7 +408,7 @@ impl<S: Settings> ReplicaSettings<S> {
         let (before, were_known) = (self.patch.clone(), self.are_known);
         self.accept(settings);
         self.adopted = revision;
-        self.basis = revision;
+        (self.basis, self.basis_sent) = (revision, sent);
         self.adopted_sent = sent;
         self.are_from_disk = false;
         self.are_known = true;
@@ -414,7 +419,8 @@ impl<S: Settings> ReplicaSettings<S> {
             own.get(field)
                 .is_none_or(|own| values.get(field).is_some_and(|value| !own.contains(value)))
         };
-        self.missed.adopted(revision, are_own_said, |patch| has(current, patch), is_unknown);
+        let moment = OutcomeMoment { revision, confirmed: sent };
+        self.missed.adopted(moment, are_own_said, |patch| has(current, patch), is_unknown);
         let is_same = self.patch == before && were_known;
         if is_same { Adoption::Unchanged } else { Adoption::Changed }
     }

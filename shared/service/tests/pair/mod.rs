@@ -26,7 +26,7 @@ pub(super) enum Fault {
     Storm { lost: u64, late_ms: u64, mixes: bool },
     /// The service publishes something, so that it has a new revision.
     Output,
-    /// An operator changes the number of teams.
+    /// An operator changes settings.
     Set,
 }
 

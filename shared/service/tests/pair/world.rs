@@ -164,9 +164,9 @@ pub(super) struct World {
     /// How many commands there are, and the first that is not confirmed.
     wanted: usize,
     next: usize,
-    /// The number of teams that was confirmed last, and in which term, if that is to hold. What a leader confirms that never received the
+    /// The value of each field that was confirmed last, and in which term, if that is to hold. What a leader confirms that never received the
     /// term of another one, as it was cut off, may not outlast that one's.
-    confirmed: Option<(u32, u64)>,
+    confirmed: BTreeMap<&'static str, (u32, u64)>,
     /// Who has led in each term. Of two that led in the same one neither was before the other, and their clocks differ.
     led: BTreeMap<u64, BTreeSet<usize>>,
     pub(super) log: Option<Vec<String>>,
@@ -177,9 +177,19 @@ fn instance_of(host: usize, process: u32) -> InstanceId {
     InstanceId::of_process(HOSTS[host], process, 1)
 }
 
-/// The number of teams that a command asks for: no two ask for the same.
-fn teams_of(command: usize) -> u32 {
-    2 + u32::try_from(command).unwrap()
+/// The fields that commands change.
+const FIELDS: [&str; 2] = ["teams", "restarts"];
+
+/// What a command asks for: one of the fields, or both. No two ask for the same value.
+fn patch_of(command: usize) -> Vec<(&'static str, u32)> {
+    let value = 2 + u32::try_from(command).unwrap();
+    let asked = |place: usize| command % 3 == place || command % 3 == 2;
+    FIELDS
+        .into_iter()
+        .enumerate()
+        .filter(|(place, _)| asked(*place))
+        .map(|(_, field)| (field, value))
+        .collect()
 }
 
 impl World {
@@ -208,7 +218,7 @@ impl World {
             next_get: 0,
             wanted: 0,
             next: 0,
-            confirmed: None,
+            confirmed: BTreeMap::new(),
             led: BTreeMap::new(),
             log: is_logged.then(Vec::new),
         };
@@ -395,12 +405,14 @@ impl World {
         bench.now = Tick(START + now + node.ahead).max(Tick(bench.now.0 + 1));
         bench.input(input);
         let after = bench.host.replica_state();
-        let teams = bench.host.core().teams;
+        let (teams, restarts) = (bench.host.core().teams, bench.host.core().restarts);
         if after == ReplicaState::Leading {
             self.led.entry(bench.status().revision.term).or_default().insert(host);
         }
         if let Some(text) = text {
-            self.say(|| format!("{} ({before:?}) {text}: {after:?}, {teams} teams", HOSTS[host]));
+            self.say(|| {
+                format!("{} ({before:?}) {text}: {after:?}, has {teams}/{restarts}", HOSTS[host])
+            });
         }
         self.follow_up(host);
     }
@@ -470,7 +482,8 @@ fn in_short(input: &Input) -> String {
         }
         Some(Message::Settings(announced)) => {
             let settings: Value = serde_json::from_str(&announced.settings).unwrap();
-            format!("settings {:?} {}", announced.header.revision, settings["teams"])
+            let (teams, restarts) = (&settings["teams"], &settings["restarts"]);
+            format!("settings {:?} {teams}/{restarts}", announced.header.revision)
         }
         Some(Message::Outcome(outcome)) => {
             format!("outcome {} {:?} {:?}", outcome.id, outcome.header.revision, outcome.refused)

@@ -43,6 +43,8 @@ pub(crate) struct Small<const KIND: u8> {
     pub(crate) log: Vec<String>,
     /// The number of teams in the settings in force; [`AUTO`] by default.
     pub(crate) teams: u32,
+    /// The starts of k-means in the settings in force.
+    pub(crate) restarts: u32,
     sum: f64,
     gets: Vec<Get>,
 }
@@ -113,7 +115,8 @@ impl<const KIND: u8> Core for Small<KIND> {
     }
 
     fn new(_now: Tick, settings: &ClustererSettings) -> Self {
-        Self { log: Vec::new(), teams: count(settings), sum: 0.0, gets: Vec::new() }
+        let (teams, restarts) = (count(settings), settings.restarts);
+        Self { log: Vec::new(), teams, restarts, sum: 0.0, gets: Vec::new() }
     }
 
     fn on_lead(&mut self, context: &mut Context<'_, Self>, answers: Vec<Message>) {
@@ -207,6 +210,7 @@ impl<const KIND: u8> Core for Small<KIND> {
 
     fn after_input(&mut self, context: &mut Context<'_, Self>) {
         self.teams = count(context.settings());
+        self.restarts = context.settings().restarts;
     }
 
     fn deadline(&self, _view: &View<'_, Self>) -> Option<Tick> {

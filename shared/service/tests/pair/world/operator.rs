@@ -11,7 +11,7 @@ impl World {
         }
         let number = self.next;
         let sent = Tick(START + self.now).as_seconds();
-        let action = json!({"set": {"teams": teams_of(number)}});
+        let action = json!({"set": patch_of(number).into_iter().collect::<BTreeMap<_, _>>()});
         let content: Value = json!({"sent": sent, "expires": sent + 60.0, "action": action});
         for to in 0..HOSTS.len() {
             self.next_get += 1;
@@ -45,7 +45,12 @@ impl World {
         match answer {
             Ok(Some(term)) => {
                 let highest = self.led.last_key_value().map_or(0, |(term, _)| *term);
-                self.confirmed = Some((teams_of(command), term)).filter(|_| term >= highest);
+                for (field, value) in patch_of(command) {
+                    self.confirmed.remove(field);
+                    if term >= highest {
+                        self.confirmed.insert(field, (value, term));
+                    }
+                }
                 self.next += 1;
             }
             // A standby leaves it to the leader; one that starts is asked again.
@@ -63,16 +68,27 @@ impl World {
         if leading != 1 || !states.contains(&ReplicaState::Standby) {
             return Err(format!("they are {states:?}"));
         }
-        let teams: Vec<u32> = benches.iter().map(|bench| bench.host.core().teams).collect();
         if self.next < self.wanted {
             return Err(format!("command {} of {} is not answered", self.next, self.wanted));
         }
-        match self.confirmed {
-            _ if teams[0] != teams[1] => Err(format!("they have {teams:?}")),
-            Some((confirmed, term)) if teams[0] != confirmed && self.led[&term].len() == 1 => {
-                Err(format!("{confirmed} teams were confirmed, and they have {teams:?}"))
+        for field in FIELDS {
+            let has = |host: usize| {
+                let core = benches[host].host.core();
+                if field == "teams" { core.teams } else { core.restarts }
+            };
+            let values = [has(0), has(1)];
+            match self.confirmed.get(field) {
+                _ if values[0] != values[1] => {
+                    return Err(format!("{field}: they have {values:?}"));
+                }
+                Some((confirmed, term)) if values[0] != *confirmed && self.led[term].len() == 1 => {
+                    let text =
+                        format!("{field} {confirmed} was confirmed, and they have {values:?}");
+                    return Err(text);
+                }
+                _ => {}
             }
-            _ => Ok(()),
         }
+        Ok(())
     }
 }
