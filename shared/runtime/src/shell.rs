@@ -178,7 +178,7 @@ pub async fn run<C: Core>(
         shell.handle(Input::StateLost { reason });
     }
     let interval = shell.pool.as_ref().map_or(SHOW_INTERVAL, |_| pool::SHOW_INTERVAL);
-    let mut gathered_at = Instant::now();
+    let mut gathered_at = None;
     let mut show = tokio::time::interval(interval);
     show.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
@@ -191,7 +191,9 @@ pub async fn run<C: Core>(
             }
         };
         let gathered = async {
-            sleep_until(gathered_at).await;
+            if let Some(at) = gathered_at {
+                sleep_until(at).await;
+            }
             inbox.arrived().await;
         };
         tokio::select! {
@@ -399,11 +401,11 @@ impl<C: Core> Shell<C> {
         self.observer.turned(&status, &queues, self.host.failing_jobs());
     }
 
-    /// Handles packets that wait. Returns when to look at the next ones.
-    fn handle_packets(&mut self) -> Instant {
+    /// Handles packets that wait. Returns until when others gather; none if some still wait.
+    fn handle_packets(&mut self) -> Option<Instant> {
         for _ in 0..MAX_PACKETS_PER_ROUND {
             let Some(mut arrival) = self.inbox.pop() else {
-                return Instant::now() + GATHERING_TIME;
+                return Some(Instant::now() + GATHERING_TIME);
             };
             arrival.decode(self.host.space());
             if let Some(message) = arrival.message() {
@@ -412,7 +414,7 @@ impl<C: Core> Shell<C> {
             self.handle(Input::Arrived(arrival));
         }
         self.inbox.rewake();
-        Instant::now()
+        None
     }
 
     fn handle_get(&mut self, incoming: IncomingQuery) {
