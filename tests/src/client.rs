@@ -202,7 +202,8 @@ impl Client {
         self.get_within(tail, payload, Duration::from_secs(3)).await
     }
 
-    /// Gets JSON as [`Client::get`] does, within a time of the caller's.
+    /// Gets JSON as [`Client::get`] does, within a time of the caller's. A command waits longer for a service that answers that
+    /// it is starting.
     ///
     /// # Errors
     /// If the session is closed.

@@ -396,7 +396,6 @@ impl Core for Clusterer {
 
     fn on_lead(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
         self.inherit(context.now(), &answers);
-        self.wishes.check_granted(self.division.as_deref());
         self.recover_wishes(context);
         self.publish_wishes(context, &[]);
         self.accept_all(context, answers);

@@ -111,8 +111,11 @@ impl WishBook {
 
     /// Notes of those that are said to be granted what becomes of them by the division that an instance goes on from: it may
     /// be another one than that which the list is about.
-    pub(crate) fn check_granted(&mut self, division: Option<&Teams>) {
-        let assessment = division.map(Assessment::of_last);
+    pub(crate) fn check_granted(&mut self, division: Option<&Teams>, divided: Option<&Embedding>) {
+        let assessment = division.map(|division| match divided {
+            Some(embedding) => Assessment::of(division, embedding),
+            None => Assessment::of_last(division),
+        });
         for one in self.all.values_mut().filter(|one| one.state == WishState::Active) {
             let next = || (WishState::Waiting, Some(NEXT_DIVISION.to_owned()));
             let last = assessment.as_ref().map(|assessment| assessment.state(&one.wish));

@@ -168,6 +168,7 @@ impl Clusterer {
             // Its event has been published.
             self.infeasible_since = Some(now);
         }
+        self.wishes.check_granted(self.division.as_deref(), self.divided.as_deref());
         self.received_by_others = self.division.clone();
     }
 

@@ -130,8 +130,9 @@ impl MissedChanges {
         self.0.iter().map(|missed| (&missed.name, &missed.patch))
     }
 
-    /// Settings that were sent at a moment were adopted. A new leader may not have received yet what this instance had confirmed, as long as that is said again (`are_own_said`). A field whose value
-    /// this instance never had (`is_unknown`) was changed by a leader after it, which counts.
+    /// Settings that were sent at a moment were adopted. A new leader may not have received yet what this instance had
+    /// confirmed, as long as that is said again (`are_own_said`). A field whose value this instance never had
+    /// (`is_unknown`) was changed by a leader after it, which counts.
     pub(crate) fn adopted(
         &mut self,
         sent: OutcomeMoment,

@@ -262,9 +262,7 @@ impl<S: Settings> ReplicaSettings<S> {
         term: u64,
     ) -> Option<Map<String, Value>> {
         let revision = outcome.header.revision;
-        let is_missed = revision.term <= term
-            && revision >= self.basis
-            && OutcomeMoment::of(outcome) > self.stored_with;
+        let is_missed = revision.term <= term && OutcomeMoment::of(outcome) > self.known_since();
         confirmed_patch(outcome).filter(|patch| is_missed && !has(&self.current, patch))
     }
 
@@ -436,6 +434,9 @@ impl<S: Settings> ReplicaSettings<S> {
             self.adopted = leader;
             self.adopted_sent = Tick::default();
             self.renewals_below = 0;
+            if self.basis > leader {
+                (self.basis, self.basis_sent) = (leader, Tick::default());
+            }
         }
         self.of_next_leader.take_if(|waiting| waiting.header.revision.term <= leader.term)
     }
