@@ -262,7 +262,9 @@ impl<S: Settings> ReplicaSettings<S> {
         term: u64,
     ) -> Option<Map<String, Value>> {
         let revision = outcome.header.revision;
-        let is_missed = revision.term <= term && OutcomeMoment::of(outcome) > self.known_since();
+        let is_missed = revision.term <= term
+            && revision >= self.basis
+            && OutcomeMoment::of(outcome) > self.stored_with;
         confirmed_patch(outcome).filter(|patch| is_missed && !has(&self.current, patch))
     }
 
