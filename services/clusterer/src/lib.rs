@@ -12,7 +12,7 @@
 //!   again within a minute of its end. No id is given to another team, not even after a restart of
 //!   everything, as long as a disk or any service holds the last division.
 //! - A robot changes from one living team to another only after every division has said so for `dwell_s`,
-//!   unless its orders or the number of teams have changed.
+//!   unless its orders, the number of teams or what operators ask for have changed.
 //! - A division obeys the limits of the settings and the wishes of operators. While nothing does, robots stay in the team that they have, no team
 //!   has more robots than it may have, robots without a place have no team, and the division and an event say why.
 //! - A robot that is stale fills no need. While needs cannot all be filled, as many are as can be, and all else goes on.

@@ -49,7 +49,7 @@ pub struct ClustererSettings {
     #[schemars(range(min = 0, max = 0.99))]
     pub hysteresis: f64,
     /// A robot changes from one team to another only after every division has said so for this many seconds,
-    /// unless its superior or the number of teams has changed.
+    /// unless its superior, the number of teams or what operators ask for has changed.
     #[schemars(range(min = 0, max = MAX_DWELL_S))]
     pub dwell_s: f64,
     /// An unchanged division is republished after this many seconds.

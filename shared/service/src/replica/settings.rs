@@ -84,7 +84,7 @@ pub(crate) struct ReplicaSettings<S> {
     /// What was confirmed up to then is in the settings that were on the disk, and what this instance had confirmed itself.
     stored_with: OutcomeMoment,
     /// Whether the settings are those from the disk still. Which leaders they had followed is not known then: a change that
-    /// is newer than all stored ones counts, even if a leader of a lower term has confirmed it, which was cut off and
+    /// is newer than what they go on from counts, even if a leader of a lower term has confirmed it, which was cut off and
     /// was the only one afterwards.
     are_from_disk: bool,
 }

@@ -57,8 +57,9 @@ fn planned() -> impl Strategy<Value = Planned> {
     all.prop_map(|(at, lasts, host, fault)| Planned { at: at * MS, lasts: lasts * MS, host, fault })
 }
 
-/// Each run tries the same courses: rare ones may break the promise still, and no run is to fail for what no change has caused. `PROPTEST_RNG_SEED` and `PROPTEST_CASES` try others,
-/// and `PAIR_LOG` names a file for what happened in a course that broke it.
+/// Each run tries the same courses: rare ones may break the promise still, and no run is to fail for what no change has
+/// caused. `PROPTEST_RNG_SEED` and `PROPTEST_CASES` try others, and `PAIR_LOG` names a file for what happened in a course that
+/// broke it.
 fn config() -> ProptestConfig {
     let mut config = ProptestConfig::default();
     if matches!(config.rng_seed, RngSeed::Random) {
