@@ -202,8 +202,8 @@ impl Client {
         self.get_within(tail, payload, Duration::from_secs(3)).await
     }
 
-    /// Gets JSON as [`Client::get`] does, within a time of the caller's. A command waits longer for a service that answers that
-    /// it is starting.
+    /// Gets JSON as [`Client::get`] does, within a time of the caller's. What has a payload waits longer for a service that answers
+    /// that it is starting.
     ///
     /// # Errors
     /// If the session is closed.
@@ -216,22 +216,28 @@ impl Client {
         let text = payload.map(Value::to_string);
         let command =
             text.as_deref().and_then(|text| command_of(wall_tick(), tail, &command_id(), text));
-        let Some((key, command)) = command else {
-            return self.get_raw(tail, text, within).await;
+        let is_command = command.is_some();
+        let (key, sent) = match command {
+            Some((key, command)) => (key, Some(command)),
+            None => (tail.to_owned(), text),
         };
         let start = Instant::now();
         let waits = within.max(SERVICE_STARTS_WITHIN);
         let answers = loop {
-            let answers = self.get_raw(&key, Some(command.clone()), within).await?;
+            let answers = self.get_raw(&key, sent.clone(), within).await?;
             // The same command again is carried out once.
             let starts = |answer: &Result<Value, String>| {
-                answer.as_ref().is_err_and(|error| error.contains("the service is starting"))
+                answer.as_ref().is_err_and(|error| error.contains(" is starting; ask again"))
             };
-            if start.elapsed() > waits || !answers.iter().any(|(_, answer)| starts(answer)) {
+            let is_starting = sent.is_some() && answers.iter().any(|(_, answer)| starts(answer));
+            if start.elapsed() > waits || !is_starting {
                 break answers;
             }
             sleep(Duration::from_millis(100)).await;
         };
+        if !is_command {
+            return Ok(answers);
+        }
         let inner = |outcome: Value| outcome.get("answer").cloned().unwrap_or(Value::Null);
         Ok(answers.into_iter().map(|(_, answer)| (tail.to_owned(), answer.map(inner))).collect())
     }

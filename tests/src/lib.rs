@@ -28,6 +28,10 @@ pub mod ros_load;
 pub mod simulation;
 pub mod soak;
 
+/// Within which everything happens that a test waits for without judging how long it takes. It is long: other work may keep the
+/// processors busy, and a test that waits in vain fails anyway.
+pub const SOON: std::time::Duration = std::time::Duration::from_secs(60);
+
 /// How many times as long as on an idle machine a test waits for what is promised there: programs are built without
 /// optimisation, and another test runs on the same two processors. What is measured without other work stands in `peers`.
 pub const BUSY: u64 = 2;

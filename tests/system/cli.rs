@@ -7,6 +7,7 @@ use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, RobotId, TeamId};
 use muster_model::teams::{Member, Team, Teams};
 use muster_model::time::Tick;
+use muster_tests::SOON;
 use muster_tests::client::Client;
 use muster_tests::cluster::{Cluster, SERVICES, start_router};
 use muster_tests::ports::free_endpoint;
@@ -15,8 +16,6 @@ use muster_wire::{Message, Outbound};
 use serde_json::Value;
 
 use crate::pipeline::{formed, truth};
-
-const SOON: Duration = Duration::from_secs(20);
 
 /// When services that restarted with lower terms are followed, by the documentation of the client: `stale_after`
 /// and one heartbeat.

@@ -10,15 +10,13 @@ use std::time::{Duration, Instant};
 
 use muster_model::alert::AlertKind;
 use muster_model::event::Severity;
+use muster_tests::SOON;
 use muster_tests::cluster::SERVICES;
 use muster_tests::ports::{free_address, free_endpoint};
 use muster_tests::process::{Process, prometheus_program, python};
 use serde_json::Value;
 
 use crate::observe::get;
-
-/// How long something may take that should come soon, on a busy machine.
-const SOON: Duration = Duration::from_secs(60);
 
 /// How often the Prometheus of the test scrapes and evaluates, and over what it takes rates: a few samples.
 const SCRAPE_INTERVAL: &str = "1s";

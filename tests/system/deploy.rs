@@ -6,11 +6,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use muster_tests::SOON;
 use muster_tests::ports::{free_address, free_endpoint};
 use muster_tests::process::{Process, program, run};
 use serde_json::Value;
-
-const SOON: Duration = Duration::from_secs(20);
 
 /// The services that are deployed.
 const SERVICES: [&str; 6] = ["ingest", "embedder", "clusterer", "auditor", "historian", "planner"];

@@ -5,14 +5,12 @@ use std::io::Write;
 use std::net::TcpListener;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use muster_tests::SOON;
 use muster_tests::client::Client;
 use muster_tests::cluster::{Cluster, Robots, SERVICES, start_router};
 use muster_tests::ports::free_endpoint;
 use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
-
-/// How long a fault may take to show, or to be gone, on a busy machine.
-const SOON: Duration = Duration::from_secs(60);
 
 /// One look of the doctor: its exit code and its report.
 fn look(endpoint: &str, fleet: &str, listen_for: &str) -> (i32, Value) {

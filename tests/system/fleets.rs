@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use muster_tests::SOON;
 use muster_tests::client::{Client, Division, division};
 use muster_tests::cluster::{robots_of, start_router};
 use muster_tests::ports::{free_address, free_endpoint};
@@ -12,9 +13,6 @@ use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
 
 use crate::observe::{get, is, samples, until, value};
-
-/// How long something may take that should come soon, on a busy machine.
-const SOON: Duration = Duration::from_secs(30);
 
 /// How long a fleet is flooded.
 const FLOODED_FOR: Duration = Duration::from_secs(12);

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
+use muster_tests::SOON;
 use muster_tests::client::{Watch, division, now};
 use muster_tests::cluster::Cluster;
 use muster_tests::process::{Process, program};
@@ -14,7 +15,6 @@ use serde_json::{Value, json};
 use crate::pipeline::FORMED_WITHIN;
 
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "4", "--robots", "16"];
-const SOON: Duration = Duration::from_secs(20);
 const KILLS: usize = 20;
 
 /// What another program reads in the file: all events, and every division with the team of each robot.

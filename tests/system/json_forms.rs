@@ -6,13 +6,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::time::Duration;
 
+use muster_tests::SOON;
 use muster_tests::client::{division, now};
 use muster_tests::cluster::Cluster;
 use muster_tests::ports::free_endpoint;
 use muster_tests::process::run;
 use serde_json::{Map, Value, json};
-
-const SOON: Duration = Duration::from_secs(30);
 
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "2", "--robots", "8"];
 

@@ -2,12 +2,11 @@
 
 use std::time::Duration;
 
+use muster_tests::SOON;
 use muster_tests::cluster::{SERVICES, start_router};
 use muster_tests::manager::Manager;
 use muster_tests::ports::free_endpoint;
 use muster_tests::process::Process;
-
-const SOON: Duration = Duration::from_secs(20);
 
 /// Within which the manager wants a notice that the loop runs.
 const WATCHDOG: Duration = Duration::from_secs(2);

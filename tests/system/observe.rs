@@ -7,13 +7,11 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use muster_tests::SOON;
 use muster_tests::cluster::{SERVICES, start_router};
 use muster_tests::ports::{free_address, free_endpoint};
 use muster_tests::process::{Process, run};
 use serde_json::Value;
-
-/// How long something may take that should come soon, on a busy machine.
-const SOON: Duration = Duration::from_secs(30);
 
 /// The status and the body that a path is answered with; none while the port is closed.
 pub(crate) fn get(address: &str, path: &str) -> Option<(u16, String)> {

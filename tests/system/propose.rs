@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
+use muster_tests::SOON;
 use muster_tests::access::Security;
 use muster_tests::client::{Client, Watch, division};
 use muster_tests::cluster::{Cluster, ClusterOptions, robots_of};
@@ -12,7 +13,6 @@ use serde_json::{Value, json};
 use crate::pipeline::{FORMED_WITHIN, formed, groups, truth};
 
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "3", "--robots", "12"];
-const SOON: Duration = Duration::from_secs(20);
 /// How long a division at rest stands: `dwell_s`, after which a pending change counts, several times.
 const STANDS: Duration = Duration::from_secs(3);
 

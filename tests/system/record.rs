@@ -5,13 +5,12 @@ use std::time::Duration;
 
 use muster_service::recording::{Entry, Head};
 use muster_service::{Command, Input};
+use muster_tests::SOON;
 use muster_tests::cluster::{Cluster, SERVICES};
 use muster_tests::process::run;
 use muster_wire::recording::{Reader, RecordingError, begin, frame};
 use muster_wire::{KeySpace, Message, Source};
 use serde_json::{Value, json};
-
-const SOON: Duration = Duration::from_secs(20);
 
 fn recordings(folder: &Path, service: &str) -> Vec<PathBuf> {
     let mut found: Vec<_> = std::fs::read_dir(folder)

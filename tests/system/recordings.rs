@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
+use muster_tests::SOON;
 use muster_tests::access::VIEWER;
 use muster_tests::client::{Client, Watch, now};
 use muster_tests::cluster::{Cluster, robots_of};
@@ -12,8 +13,6 @@ use muster_tests::process::{Process, python, run};
 use serde_json::Value;
 
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "3", "--robots", "12"];
-
-const SOON: Duration = Duration::from_secs(30);
 
 /// How much a kill may cost, in seconds.
 const MOST_LOST_S: f64 = 1.0;

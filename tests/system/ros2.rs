@@ -6,14 +6,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use muster_tests::SOON;
 use muster_tests::access::{BRIDGE, Security};
 use muster_tests::client::{Client, division, is_event_of_robots, robots_of_event};
 use muster_tests::cluster::{Cluster, ClusterOptions};
 use muster_tests::process::{Process, python, run};
 use serde_json::Value;
-
-/// How long a fleet may take to be divided: two programs of Python start first.
-const SOON: Duration = Duration::from_secs(60);
 
 /// Two pairs of robots, far apart, in the frame `map`.
 const PAIRS: [&str; 4] = ["r1:0:0", "r2:2:1", "s1:40:0", "s2:41:2"];

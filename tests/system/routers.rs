@@ -1,8 +1,9 @@
 //! Services, robots and consoles at routers of other versions of Zenoh.
 
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
+use muster_tests::SOON;
 use muster_tests::client::division;
 use muster_tests::cluster::{Cluster, SERVICES};
 use muster_tests::ports::free_endpoint;
@@ -14,9 +15,6 @@ const WORK: [&str; 2] = ["1.9.0", "1.10.2"];
 
 /// A version whose router loses answers to gets.
 const LOSES_ANSWERS: &str = "1.7.2";
-
-/// How long a fleet may take to be divided, and the doctor to find it well.
-const SOON: Duration = Duration::from_secs(60);
 
 /// Starts the router of a version, and services at it.
 pub(crate) fn start(version: &str) -> Cluster {

@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use muster_tests::SOON;
 use muster_tests::cluster::{Cluster, SERVICES};
 use muster_wire::Outbound;
 use serde_json::Value;
@@ -11,8 +12,6 @@ use crate::pipeline::{formed, truth};
 use crate::restarts::{now, stage};
 
 const SCENARIO: [&str; 4] = ["--scenario", "clusters", "--robots", "6"];
-
-const SOON: Duration = Duration::from_secs(30);
 
 /// The highest term that the protocol can carry.
 const LARGEST: u64 = (1 << 48) - 1;

@@ -106,7 +106,7 @@ impl Historian {
         announced: &AnnouncedSettings,
     ) {
         // A leader without a term announces what nobody is to take over.
-        let AnnouncedSettings { header, service, settings } = announced;
+        let AnnouncedSettings { header, service, settings, .. } = announced;
         if header.revision.term == 0 || self.settings.get(service) == Some(settings) {
             return;
         }

@@ -3,6 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use muster_historian::Historian;
@@ -366,6 +367,7 @@ fn events_are_recorded_as_they_stand_in_json_and_settings_when_they_change() {
             header: header(epoch),
             service: ServiceName::Clusterer,
             settings: text.to_owned(),
+            changed: BTreeMap::new(),
         }))
     };
     recording.receive(settings(1, "{\"teams\":3}"));

@@ -192,12 +192,25 @@ pub struct CommandOutcome {
     /// Whether the same id may be sent again: it was refused before it began, for a reason that passes.
     #[serde(default)]
     pub may_be_repeated: bool,
+    /// What it has changed of the settings; none if that is nothing, or more than is remembered.
+    #[serde(default)]
+    pub changed: Option<SettingsChange>,
+}
+
+/// A change of settings. Of two changes of a field the later one holds, whichever leaders have carried them out.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SettingsChange {
+    /// When it counts as made: when the operator sent the command, or just after the last change of the same fields.
+    pub at: Tick,
+    /// The fields with their new values, as the JSON text of a patch.
+    pub fields: String,
 }
 
 impl Content for CommandOutcome {
     /// The texts are no longer than they may be.
     fn check(&self) -> Result<(), ContentError> {
-        let texts = [Some(&self.action), self.refused.as_ref(), self.answer.as_ref()];
+        let changed = self.changed.as_ref().map(|changed| &changed.fields);
+        let texts = [Some(&self.action), self.refused.as_ref(), self.answer.as_ref(), changed];
         if texts.into_iter().flatten().any(|text| text.len() > MAX_OUTCOME_TEXT) {
             return refuse("outcome", "has a text that is longer than it may be");
         }
@@ -206,6 +219,9 @@ impl Content for CommandOutcome {
         }
         if self.may_be_repeated && self.refused.is_none() {
             return refuse("may_be_repeated", "is for refused commands alone");
+        }
+        if self.changed.is_some() && self.refused.is_some() {
+            return refuse("changed", "is for commands that were carried out");
         }
         Ok(())
     }

@@ -51,6 +51,20 @@ pub fn highest_term(now: Tick) -> u64 {
     clock + ROOM_S
 }
 
+/// The moment by which a change is dated that was sent at a moment: that one, or in 2094 the latest that hosts with an unset clock
+/// believe.
+#[must_use]
+pub fn date_of(sent: Tick) -> Tick {
+    sent.min(Tick(LATEST_S * 1_000_000))
+}
+
+/// The latest date of a change that is believed now: a later one was forged. It is the moment of the highest believed term, so
+/// that it rises with every clock, and a change after a forged one at the bound is believed a moment later.
+#[must_use]
+pub fn latest_date(now: Tick) -> Tick {
+    Tick(highest_term(now).saturating_mul(1_000_000))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -76,6 +90,16 @@ mod tests {
             for other in clocks {
                 let term = clock_term(Tick(other * S));
                 assert!(term <= highest_term(Tick(own * S)), "{own} {other}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_clock_believes_dates_by_every_other() {
+        let clocks = [0, 40, EARLIEST_S - 1, EARLIEST_S, 1_795_000_000, LATEST_S, 1 << 32, 1 << 40];
+        for own in clocks {
+            for other in clocks {
+                assert!(date_of(Tick(other * S)) <= latest_date(Tick(own * S)), "{own} {other}");
             }
         }
     }

@@ -45,6 +45,17 @@ impl Tick {
         Duration::from_micros(self.0.saturating_sub(earlier.0))
     }
 
+    /// The moment that JSON messages have as seconds since the Unix epoch; what is no such moment becomes the nearest one.
+    #[must_use]
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "the conversion saturates, and microseconds are exact enough"
+    )]
+    pub fn of_seconds(seconds: f64) -> Self {
+        Self((seconds * 1e6).round() as u64)
+    }
+
     /// Seconds since the Unix epoch, as the JSON messages have them.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "microseconds stay exact until the year 2255")]

@@ -1,18 +1,17 @@
 //! Commands of operators: those that are being carried out, and what came of the last ones.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use muster_model::command::{
     CommandOutcome, MAX_REMEMBERED_COMMANDS, MAX_REMEMBERED_REFUSALS, OperatorCommand,
+    SettingsChange,
 };
 use muster_model::id::{CommandId, OperatorId};
 use muster_model::time::Tick;
 use muster_wire::Request;
-use serde_json::{Map, Value};
 
 use crate::io::GetId;
-use crate::replica::missed_changes::{CommandTime, confirmed_patch};
 
 /// Names a command.
 pub(crate) type CommandName = (OperatorId, CommandId);
@@ -24,6 +23,8 @@ pub(crate) struct Pending {
     pub(crate) command: OperatorCommand,
     /// The get that brought it.
     pub(crate) request: Request,
+    /// What it has changed of the settings.
+    pub(crate) changed: Option<SettingsChange>,
 }
 
 /// Whether a command may be carried out.
@@ -46,9 +47,6 @@ pub(crate) struct Commands {
     outcomes: BTreeMap<CommandName, Arc<CommandOutcome>>,
     /// Their names, the oldest first.
     order: VecDeque<CommandName>,
-    /// Those of them that this process has answered itself, or has from its disk, which does not tell. Another instance may have
-    /// the same term.
-    own: BTreeSet<CommandName>,
 }
 
 impl Commands {
@@ -56,7 +54,7 @@ impl Commands {
     pub(crate) fn new(outcomes: &[CommandOutcome]) -> Self {
         let mut commands = Self::default();
         for outcome in outcomes {
-            commands.remember_own(Arc::new(outcome.clone()));
+            commands.remember(Arc::new(outcome.clone()));
         }
         commands
     }
@@ -91,17 +89,14 @@ impl Commands {
         self.pending.insert(get, pending);
     }
 
+    /// The command that is being carried out by a get.
+    pub(crate) fn pending(&mut self, get: GetId) -> Option<&mut Pending> {
+        self.pending.get_mut(&get)
+    }
+
     /// The command that a get carried out; none if it carried out none.
     pub(crate) fn end(&mut self, get: GetId) -> Option<Pending> {
         self.pending.remove(&get)
-    }
-
-    /// Remembers what this process has answered.
-    pub(crate) fn remember_own(&mut self, outcome: Arc<CommandOutcome>) {
-        let name = (outcome.operator.clone(), outcome.id.clone());
-        if self.remember(outcome) {
-            self.own.insert(name);
-        }
     }
 
     /// Remembers an outcome. Returns whether it was not known, and there was room for it. What one leader has carried out
@@ -110,10 +105,12 @@ impl Commands {
         let name = (outcome.operator.clone(), outcome.id.clone());
         match self.outcomes.get_mut(&name) {
             Some(known) if known.refused.is_none() => {
-                // A later leader has carried it out as well: what that one did before is before it.
-                if outcome.refused.is_none()
-                    && outcome.header.revision.term > known.header.revision.term
-                {
+                // Another leader has carried it out as well: the later change is the one that holds.
+                let place = |outcome: &CommandOutcome| {
+                    let at = outcome.changed.as_ref().map(|changed| changed.at);
+                    (at, outcome.header.revision.term)
+                };
+                if outcome.refused.is_none() && place(&outcome) > place(known) {
                     *known = outcome;
                 }
                 return false;
@@ -147,35 +144,11 @@ impl Commands {
     fn forget(&mut self, place: usize) {
         if let Some(name) = self.order.remove(place) {
             self.outcomes.remove(&name);
-            self.own.remove(&name);
-        }
-    }
-
-    /// Leaves out of the patch of a command what commands that came later have changed. With `term`, only those count that were
-    /// carried out in it.
-    pub(crate) fn drop_changed_later(
-        &self,
-        patch: &mut Map<String, Value>,
-        time: CommandTime,
-        term: Option<u64>,
-    ) {
-        let counts = |outcome: &&Arc<CommandOutcome>| {
-            term.is_none_or(|term| outcome.header.revision.term == term) && time.is_before(outcome)
-        };
-        let later = self.outcomes.values().filter(counts);
-        for changed in later.filter_map(|outcome| confirmed_patch(outcome)) {
-            patch.retain(|field, _| !changed.contains_key(field));
         }
     }
 
     /// What is remembered, the oldest first.
     pub(crate) fn outcomes(&self) -> impl Iterator<Item = &Arc<CommandOutcome>> {
         self.order.iter().filter_map(|name| self.outcomes.get(name))
-    }
-
-    /// What this instance itself has answered, or has from its disk, the oldest first.
-    pub(crate) fn own_outcomes(&self) -> impl Iterator<Item = &Arc<CommandOutcome>> {
-        let own = self.order.iter().filter(|name| self.own.contains(*name));
-        own.filter_map(|name| self.outcomes.get(name))
     }
 }

@@ -12,10 +12,8 @@ mod leadership;
 mod state_loss;
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::Arc;
 use std::time::Duration;
 
-use muster_model::command::CommandOutcome;
 use muster_model::role::ReplicaState;
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
@@ -51,8 +49,6 @@ pub struct Host<C: Core> {
     announced_state: ReplicaState,
     process_counters: BTreeMap<String, u64>,
     next_query: u64,
-    /// What it had confirmed when it led last, which it says to the next leader.
-    confirmed_before: Vec<Arc<CommandOutcome>>,
 }
 
 impl<C: Core> Host<C> {
@@ -61,7 +57,6 @@ impl<C: Core> Host<C> {
     pub fn new(start: Start<C::Settings>) -> Self {
         let now = start.now;
         let operator_commands = Commands::new(&start.stored.commands);
-        let missed = start.stored.missed.clone();
         let replica = Replica::new(C::SERVICE, C::REPLICATION, start);
         let core = C::new(now, replica.settings.current());
         let facilities = Facilities {
@@ -79,7 +74,7 @@ impl<C: Core> Host<C> {
             store_again_at: None,
             unstored_term: UnstoredTerm::default(),
         };
-        let mut host = Self {
+        Self {
             core,
             facilities,
             done: None,
@@ -87,10 +82,7 @@ impl<C: Core> Host<C> {
             announced_state: ReplicaState::Starting,
             process_counters: BTreeMap::new(),
             next_query: 0,
-            confirmed_before: Vec::new(),
-        };
-        host.note_confirmed(&missed);
-        host
+        }
     }
 
     /// Handles one input and returns what is to be done, in order.

@@ -1,8 +1,8 @@
 //! What an instance begins with, and what it keeps over a restart.
 
+use std::collections::BTreeMap;
+
 use muster_model::command::CommandOutcome;
-use muster_model::header::Revision;
-use muster_model::id::{CommandId, OperatorId};
 use muster_model::id::{FleetId, InstanceId};
 use muster_model::time::Tick;
 use serde::{Deserialize, Serialize};
@@ -14,25 +14,19 @@ use serde_json::{Map, Value};
 pub struct Stored {
     /// The last term that it began on this host.
     pub term: u64,
-    /// The fields of the settings that operators have changed.
+    /// The fields of the settings that operators have changed, or that differ from those of this host's file and flags.
     #[serde(with = "patch_form")]
     pub patch: Map<String, Value>,
+    /// When operators have changed them, by the path of each field. A field of the patch without a date is one that a leader has
+    /// by its own file or flags.
+    #[serde(default)]
+    pub changed: BTreeMap<String, Tick>,
     /// Whether those of the fleet were not known in that term: an instance that has them takes over, also after a restart.
     #[serde(default)]
     pub lacks_settings: bool,
     /// What came of the last commands, the oldest first: none is carried out again.
     #[serde(default)]
     pub commands: Vec<CommandOutcome>,
-    /// The revision of the settings of another leader that it knew last: what others have confirmed since may be missing in its own.
-    /// None where that is not known.
-    #[serde(default)]
-    pub basis: Option<Revision>,
-    /// When that leader had sent them, by its clock. It may have changed them without a new revision.
-    #[serde(default)]
-    pub basis_sent: Tick,
-    /// Those of the commands whose change the patch lacks: they were confirmed by another leader whose settings it had not received.
-    #[serde(default)]
-    pub missed: Vec<(OperatorId, CommandId)>,
 }
 
 /// A patch is written as it is where the form describes itself, as JSON does, and as JSON text where it

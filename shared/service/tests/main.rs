@@ -7,6 +7,7 @@
     reason = "a test fails by panicking"
 )]
 
+mod changes;
 mod commands;
 mod host;
 mod pair;

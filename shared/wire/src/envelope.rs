@@ -4,6 +4,8 @@
 //! standard configuration (little-endian, variable-length integers) is bounded by the limit of the
 //! kind, and what it leaves unread is refused.
 
+use std::collections::BTreeMap;
+
 use bincode::config::{Configuration, Limit};
 use bincode::error::DecodeError;
 use muster_model::alert::Alerts;
@@ -17,6 +19,7 @@ use muster_model::id::ServiceName;
 use muster_model::role::LeaseRenewal;
 use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
+use muster_model::time::Tick;
 use muster_model::wish::WishList;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -102,6 +105,8 @@ pub struct AnnouncedSettings {
     pub service: ServiceName,
     /// The settings as JSON text.
     pub settings: String,
+    /// When operators have changed them, by the path of each field. Of two changes of a field the later one holds.
+    pub changed: BTreeMap<String, Tick>,
 }
 
 macro_rules! kinds {

@@ -5,11 +5,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use muster_model::audit::{Audit, Flapping, Quality, SilhouetteMethod, SilhouetteReport, Space};
+use muster_model::command::{CommandOutcome, SettingsChange};
 use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingMode, EmbeddingQuality};
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision};
-use muster_model::id::{FleetId, Modality, RobotId, ServiceName, SkillId, TeamId};
+use muster_model::id::{
+    CommandId, FleetId, Modality, OperatorId, RobotId, ServiceName, SkillId, TeamId,
+};
 use muster_model::observation::{Link, Links, Pose, Rank, Relation, Report};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::teams::{Limited, Member, Team, TeamCountScore, TeamNeed, Teams};
@@ -165,7 +168,7 @@ pub(crate) struct Author {
 impl Author {
     /// A message of any kind that a core reads.
     pub(crate) fn message(&mut self, now: Tick, draw: &mut Draw<'_>) -> Drawn {
-        let which = draw.below(10);
+        let which = draw.below(11);
         if which < 4 {
             let robot = draw.robot();
             let report = match which {
@@ -188,6 +191,7 @@ impl Author {
                 mirror: false,
             },
             8 => Message::Audit(Arc::new(self.audit(now, draw))),
+            9 => Message::Outcome(Arc::new(self.outcome(now, draw))),
             _ => Message::Settings(Box::new(self.settings(now, draw))),
         })
     }
@@ -412,10 +416,45 @@ impl Author {
         }
     }
 
+    /// What another instance says of a command that changed settings.
+    fn outcome(&mut self, now: Tick, draw: &mut Draw<'_>) -> CommandOutcome {
+        let fields = match draw.below(6) {
+            0 => draw.text(),
+            1 => format!("{{\"teams\":{}}}", draw.number64()),
+            2 => format!("{{\"size\":{{\"max\":{}}}}}", draw.byte()),
+            3 => format!("{{\"size\":{{\"min\":{}}},\"teams\":null}}", draw.byte()),
+            4 => "{\"size.min\":{\"a\":1}}".to_owned(),
+            _ => "{\"restarts\":3,\"nothing\":1}".to_owned(),
+        };
+        let at = match draw.below(8) {
+            0 => Tick(draw.number64()),
+            ago => Tick(now.0.saturating_sub(u64::from(ago))),
+        };
+        CommandOutcome {
+            header: self.header(now, draw),
+            service: ServiceName::Clusterer,
+            operator: OperatorId::new("kim").unwrap(),
+            id: CommandId::new(format!("c{}", draw.below(8))).unwrap(),
+            expires: now.as_seconds() + 60.0,
+            based_on: None,
+            action: "\"set\"".to_owned(),
+            refused: None,
+            answer: None,
+            may_be_repeated: false,
+            changed: Some(SettingsChange { at, fields }),
+        }
+    }
+
     fn settings(&mut self, now: Tick, draw: &mut Draw<'_>) -> AnnouncedSettings {
+        let changed = match draw.below(4) {
+            0 => BTreeMap::from([(draw.text(), Tick(draw.number64()))]),
+            1 => BTreeMap::from([("teams".to_owned(), now)]),
+            _ => BTreeMap::new(),
+        };
         AnnouncedSettings {
             header: self.header(now, draw),
             service: ServiceName::Clusterer,
+            changed,
             settings: match draw.below(4) {
                 0 => draw.text(),
                 1 => format!("{{\"teams\":{}}}", draw.number64()),

@@ -8,9 +8,8 @@ use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_model::header::Revision;
 use muster_model::history::{self, Page, Query, Record, Retention, Rows, Subject};
-use muster_model::id::{CommandId, FleetId, InstanceId, OperatorId, RobotId, ServiceName};
+use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::{CheckedReport, Report};
 use muster_model::role::ReplicaState;
 use muster_model::settings::{
@@ -193,9 +192,7 @@ fn recordings() -> Vec<Seed> {
             term: 3,
             patch: [("teams".to_owned(), 3.into())].into_iter().collect(),
             commands: Vec::new(),
-            basis: Some(Revision { term: 2, epoch: 5 }),
-            basis_sent: Tick(9),
-            missed: vec![(OperatorId::new("kim").unwrap(), CommandId::new("c1").unwrap())],
+            changed: [("teams".to_owned(), Tick(9))].into_iter().collect(),
         }),
         Command::ReplicaState(ReplicaState::Standby),
         Command::DeclareToken(Key::Roster),

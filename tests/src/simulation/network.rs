@@ -354,8 +354,7 @@ impl World {
                     .find(|answer| matches!(***answer, Answer::Packets(_)));
                 if let Some(answer) = confirmed.or(answers.iter().find(is_answer)) {
                     self.log.line(self.now, format_args!("{service} answers {answer:?}"));
-                    let highest = self.oracle.order.highest_given(service);
-                    self.operator.answered(service, losses, highest, answer);
+                    self.operator.answered(service, losses, answer);
                 }
             }
             Asker::Nobody => {}

@@ -75,15 +75,8 @@ impl Operator {
         self.wanted.values().any(|wanted| !wanted.is_empty())
     }
 
-    /// A service has answered a get that was sent when it had lost its disk so often. `highest` is the highest term of its
-    /// leaders so far.
-    pub(crate) fn answered(
-        &mut self,
-        service: ServiceName,
-        losses: u32,
-        highest: u64,
-        answer: &Answer,
-    ) {
+    /// A service has answered a get that was sent when it had lost its disk so often.
+    pub(crate) fn answered(&mut self, service: ServiceName, losses: u32, answer: &Answer) {
         match answer {
             Answer::Error(error) if error.contains(TRIED_AGAIN) => return,
             Answer::Error(error) if error.contains(GIVEN_ANEW) => {
@@ -107,9 +100,8 @@ impl Operator {
         if service == ServiceName::Clusterer
             && let Some(teams) = teams
         {
-            // A number that the clusterer chooses is not known, nor whether it was confirmed before the loss. What a
-            // leader confirms that never received the term of another one, as it was cut off, may not outlast that one's.
-            let is_known = self.losses(service) == losses && term_of(answer) >= Some(highest);
+            // A number that the clusterer chooses is not known, nor whether it was confirmed before the loss.
+            let is_known = self.losses(service) == losses;
             let teams = teams.as_u64().filter(|_| is_known);
             self.teams = teams.and_then(|teams| u32::try_from(teams).ok());
         }
@@ -141,11 +133,4 @@ impl Operator {
             teams: self.teams,
         }
     }
-}
-
-/// The term of the leader that confirms a command.
-fn term_of(answer: &Answer) -> Option<u64> {
-    let payload = answer.packets()?.first()?.payload.as_ref().ok()?;
-    let confirmed: Value = serde_json::from_slice(payload).ok()?;
-    confirmed["term"].as_u64()
 }

@@ -11,14 +11,13 @@ mod refusals;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use muster_tests::SOON;
 use muster_tests::client::{Client, Watch, division};
 use muster_tests::cluster::SERVICES;
 use muster_tests::ports::free_endpoint;
 use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
 use tempfile::TempDir;
-
-const SOON: Duration = Duration::from_secs(20);
 
 /// How long a client that is refused tries.
 const REFUSED_WITHIN_MS: &str = "3000";

@@ -510,5 +510,6 @@ pub(crate) fn announced_at(revision: Revision, settings: &str) -> Message {
         },
         service: ServiceName::Clusterer,
         settings: settings.to_owned(),
+        changed: BTreeMap::new(),
     }))
 }

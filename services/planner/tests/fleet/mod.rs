@@ -327,7 +327,8 @@ impl Fleet {
             return vec![];
         }
         let announced = |service, settings: String| {
-            Message::Settings(Box::new(AnnouncedSettings { header: header(4), service, settings }))
+            let (header, changed) = (header(4), BTreeMap::new());
+            Message::Settings(Box::new(AnnouncedSettings { header, service, settings, changed }))
         };
         let wishes = WishList { header: header(5), wishes: self.wishes.clone() };
         vec![

@@ -15,6 +15,8 @@ mod team_count;
 mod team_size;
 pub mod written;
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
@@ -90,11 +92,91 @@ pub trait Settings:
                 "must be a JSON object of the fields to change, such as {\"teams\": 3}",
             ));
         };
-        let mut current = to_object(self)?;
-        merge(&mut current, patch, &to_object(&Self::default())?, "")?;
-        let settings = from_value::<Self>(Value::Object(current))?;
+        let settings = self.merged(patch)?;
         settings.check()?;
         Ok(settings)
+    }
+
+    /// The same without a check of the values: they have the right types, and may be out of range or not go together.
+    ///
+    /// # Errors
+    /// Names the field that is unknown or of the wrong type.
+    fn merged(&self, patch: &Map<String, Value>) -> Result<Self, SettingsError> {
+        let mut current = to_object(self)?;
+        merge(&mut current, patch, &to_object(&Self::default())?, "")?;
+        from_value::<Self>(Value::Object(current))
+    }
+
+    /// The values of all fields that change one by one, each by its path: `{"size": {"min": 2}}` has the field `size.min`.
+    #[must_use]
+    fn fields(&self) -> BTreeMap<String, Value> {
+        to_object(self).map(|settings| Self::fields_of(&settings)).unwrap_or_default()
+    }
+
+    /// What a patch says of the fields that change one by one, each by its path. `null` for a table is `null` for each of its fields.
+    /// What is no setting stands under its own name.
+    #[must_use]
+    fn fields_of(patch: &Map<String, Value>) -> BTreeMap<String, Value> {
+        let mut fields = BTreeMap::new();
+        if let Ok(defaults) = to_object(&Self::default()) {
+            take_fields(patch, &defaults, "", &mut fields);
+        }
+        fields
+    }
+}
+
+/// The patch that has these fields, each by its path.
+#[must_use]
+pub fn patch_of<'a>(
+    fields: impl IntoIterator<Item = (&'a String, &'a Value)>,
+) -> Map<String, Value> {
+    let mut patch = Map::new();
+    for (path, value) in fields {
+        let names: Vec<&str> = path.split('.').collect();
+        put_field(&mut patch, &names, value);
+    }
+    patch
+}
+
+/// Where a field of a table stands under a name that another field has, it takes its place.
+fn put_field(table: &mut Map<String, Value>, path: &[&str], value: &Value) {
+    match path {
+        [] => {}
+        [name] => {
+            table.insert((*name).to_owned(), value.clone());
+        }
+        [name, rest @ ..] => {
+            let inner = table.entry(*name).or_insert(Value::Null);
+            if !inner.is_object() {
+                *inner = Value::Object(Map::new());
+            }
+            if let Value::Object(inner) = inner {
+                put_field(inner, rest, value);
+            }
+        }
+    }
+}
+
+fn take_fields(
+    patch: &Map<String, Value>,
+    defaults: &Map<String, Value>,
+    path: &str,
+    fields: &mut BTreeMap<String, Value>,
+) {
+    for (name, value) in patch {
+        let field = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
+        match (value, defaults.get(name)) {
+            (Value::Object(patch), Some(Value::Object(default))) if is_table(default) => {
+                take_fields(patch, default, &field, fields);
+            }
+            (Value::Null, Some(Value::Object(default))) if is_table(default) => {
+                let nothing = default.keys().map(|name| (name.clone(), Value::Null)).collect();
+                take_fields(&nothing, default, &field, fields);
+            }
+            _ => {
+                fields.insert(field, value.clone());
+            }
+        }
     }
 }
 
@@ -182,6 +264,28 @@ mod tests {
     use super::*;
     use crate::id::TeamId;
     use crate::limits::MAX_TEAM_SIZES;
+
+    #[test]
+    fn a_patch_is_taken_apart_into_fields_and_put_together_again() {
+        let fields = |patch: &Value| ClustererSettings::fields_of(patch.as_object().unwrap());
+        let patch =
+            json!({"size": {"min": 2}, "teams": 3, "team_size": {"t1": {"max": 4}}, "nothing": 1});
+        let apart = fields(&patch);
+        let names: Vec<&str> = apart.keys().map(String::as_str).collect();
+        assert_eq!(names, ["nothing", "size.min", "team_size", "teams"]);
+        assert_eq!(Value::Object(patch_of(&apart)), patch);
+        let reset = fields(&json!({"size": null}));
+        assert_eq!(patch_of(&reset)["size"], json!({"min": null, "max": null}));
+        // A table and a field of one name come from another program.
+        let both =
+            BTreeMap::from([("size".to_owned(), json!(1)), ("size.min".to_owned(), json!(2))]);
+        assert_eq!(Value::Object(patch_of(&both)), json!({"size": {"min": 2}}));
+        // All fields of settings lead to the same settings.
+        let settings = ClustererSettings::default().patched(&json!({"size": {"min": 2}})).unwrap();
+        assert_eq!(settings.fields()["size.min"], 2);
+        let patch = Value::Object(patch_of(&settings.fields()));
+        assert_eq!(ClustererSettings::default().patched(&patch), Ok(settings));
+    }
 
     #[test]
     fn the_defaults_hold_together() {

@@ -2,6 +2,8 @@
 
 use muster_model::event::{EventKind, Severity};
 use muster_model::role::ReplicaState;
+use muster_model::term::date_of;
+use muster_model::time::Tick;
 use muster_wire::{Key, Message, Outbound, Packet, Request, schema};
 
 use super::Host;
@@ -9,7 +11,7 @@ use crate::core::{Context, Core, View};
 use crate::facilities::ReplyKind;
 use crate::gets::Get;
 use crate::io::{Command, GetId, IncomingGet, Reply};
-use crate::replica::settings::problem_json;
+use crate::replica::settings::{Patched, problem_json};
 
 impl<C: Core> Host<C> {
     pub(super) fn get(&mut self, incoming: IncomingGet) {
@@ -97,13 +99,18 @@ impl<C: Core> Host<C> {
             return Context::<C>(facilities).reply_error(get, problem_json("(key)", problem));
         }
         let payload = payload.clone();
-        match self.checked_settings(&payload) {
-            Ok(settings) => self.facilities.replica.settings.change(settings),
+        let patched = match self.checked_settings(&payload) {
+            Ok(patched) => patched,
             Err(problem) => {
                 return Context::<C>(&mut self.facilities).reply_error(get, problem);
             }
-        }
+        };
         let facilities = &mut self.facilities;
+        let pending = facilities.operator_commands.pending(get.id);
+        let sent = pending.as_ref().map(|pending| Tick::of_seconds(pending.command.sent));
+        let sent = date_of(sent.unwrap_or(facilities.now));
+        let change = facilities.replica.settings.change(&patched, sent);
+        pending.into_iter().for_each(|pending| pending.changed = Some(change.clone()));
         // What came of a command is stored together with what it has changed.
         let settings = facilities.replica.settings_message(facilities.now);
         facilities.reply(get.id, Ok(vec![settings]), ReplyKind::ConfirmsStore);
@@ -112,12 +119,12 @@ impl<C: Core> Host<C> {
     }
 
     /// The settings with a patch, if it makes sense and the core can work with it.
-    pub(super) fn checked_settings(&self, payload: &[u8]) -> Result<C::Settings, String> {
+    fn checked_settings(&self, payload: &[u8]) -> Result<Patched<C::Settings>, String> {
         let facilities = &self.facilities;
-        let settings = facilities.replica.settings.changed(payload)?;
-        let checked = self.core.check_settings(&View(facilities), &settings);
+        let patched = facilities.replica.settings.patched(payload)?;
+        let checked = self.core.check_settings(&View(facilities), &patched.settings);
         checked.map_err(|error| problem_json(&error.field, &error.problem))?;
-        Ok(settings)
+        Ok(patched)
     }
 
     /// Announces changed settings, and lets the core work with them.

@@ -9,16 +9,15 @@ use muster_model::role::ReplicaState;
 use muster_model::settings::Settings;
 use muster_model::wish::MAX_EXPIRY_S;
 use muster_wire::command::{STARTING, carried_out_by, decode, remembered};
+use muster_wire::envelope::AnnouncedSettings;
 use muster_wire::{Key, Message, Packet, Request};
-use serde_json::{Map, Value};
 
 use super::Host;
 use crate::commands::{Admission, CommandName, Pending};
 use crate::core::{Context, Core};
 use crate::facilities::{Facilities, ReplyKind};
 use crate::gets::{Get, encode_answer};
-use crate::replica::missed_changes::{CommandTime, MAX_MISSED, confirmed_patch};
-use crate::replica::settings::problem_json;
+use crate::replica::settings::{Merging, problem_json};
 use crate::wiring::Replication;
 
 /// The action, as JSON, of a command that could not be decoded or was not looked at.
@@ -82,110 +81,71 @@ impl<C: Core> Host<C> {
         Context::<C>(&mut self.facilities).reply_error(get, problem_json("(key)", NO_COMMAND));
     }
 
-    /// Remembers what a leader has answered to a command, so that it is not carried out again once this instance leads, and
-    /// so that a change that was confirmed is not lost with that leader.
+    /// Remembers what another instance has answered to a command, so that it is not carried out again here, and
+    /// so that a change that was confirmed is not lost with that instance.
     pub(super) fn learn_outcome(&mut self, outcome: Arc<CommandOutcome>) {
         let facilities = &mut self.facilities;
-        if facilities.replica.election.has_term() {
-            return self.make_up_for(outcome);
-        }
-        let is_new = facilities.operator_commands.remember(Arc::clone(&outcome));
-        let election = &facilities.replica.election;
-        let (followed, replaced) = (election.followed(), election.replaced_term());
-        // What was refused has changed nothing, and any number of such may come: it is not worth a write. What the leader says that
-        // is replaced may have been received before it was followed.
-        if outcome.refused.is_none() && (is_new || replaced.is_some()) {
-            facilities.replica.settings.note_outcome(&outcome, followed, replaced);
-        }
-        if outcome.refused.is_none() && is_new {
-            facilities.store();
-        }
-    }
-
-    /// A leader before this one is back, or one that began the same term, and says what it had confirmed: what of that this
-    /// one does not know, and has not changed since, holds from now on. What has no effect here is not remembered: the same
-    /// command may still arrive.
-    fn make_up_for(&mut self, outcome: Arc<CommandOutcome>) {
+        let has_term = facilities.replica.election.has_term();
         // Where every instance leads, each carries commands out itself.
-        if C::REPLICATION == Replication::EveryInstance {
+        if has_term && C::REPLICATION == Replication::EveryInstance {
             return;
         }
-        let facilities = &mut self.facilities;
-        let term = facilities.replica.revision().term;
         if outcome.refused.is_some() {
-            // The operator has that answer: a copy of the command that arrives late must not be carried out after it.
-            if outcome.header.revision.term <= term {
+            // The operator has that answer: a copy of the command that arrives late must not be carried out after it. It has changed
+            // nothing, and any number of such may come: it is not worth a write.
+            if !has_term || outcome.header.revision.term <= facilities.replica.revision().term {
                 facilities.operator_commands.remember(outcome);
             }
             return;
         }
-        let Some(mut patch) = facilities.replica.settings.missed_by(&outcome, term) else { return };
-        let time = CommandTime::of(&outcome);
-        let is_of_before = outcome.header.revision.term < term;
-        if !facilities.operator_commands.remember(outcome) {
-            return;
+        let merging = match &outcome.changed {
+            Some(change) => facilities.replica.settings.merge_change(change),
+            // Whether a leader has what else another one has carried out, its core knows.
+            None if has_term => return,
+            None => Merging::Known,
+        };
+        let is_new = facilities.operator_commands.remember(outcome);
+        if merging != Merging::Known {
+            self.settings_merged(merging);
+        } else if is_new {
+            facilities.store();
         }
-        facilities.operator_commands.drop_changed_later(&mut patch, time, None);
-        // Of two leaders of one term neither was before the other.
-        let own = facilities.operator_commands.own_outcomes();
-        let own = own.filter(|own| is_of_before && own.header.revision.term == term);
-        for changed in own.filter_map(|outcome| confirmed_patch(outcome)) {
-            patch.retain(|field, _| !changed.contains_key(field));
-        }
-        if !patch.is_empty() && self.change_confirmed(patch) {
-            self.settings_changed();
+    }
+
+    /// Settings were received that have later changes than this instance had.
+    ///
+    /// The core is not asked: the other instance has asked its own, and what may speak against a change passes. An instance
+    /// that begins may not know yet what robots can do, for example, so that no need could be filled.
+    pub(super) fn settings_merged(&mut self, merging: Merging) {
+        let replica = &mut self.facilities.replica;
+        if replica.election.has_term() {
+            // Whoever has said them says them again until they are announced.
+            replica.settings.repeat_announcement();
+            if merging == Merging::Changed {
+                replica.add("settings_recovered", 1);
+                self.settings_changed();
+            }
         }
         self.facilities.store();
     }
 
-    /// Changes the settings by what another instance has confirmed. Returns whether that is possible.
-    ///
-    /// The core is not asked: the other instance has asked its own, and what may speak against a change passes. An instance
-    /// that begins may not know yet what robots can do, for example, so that no need could be filled.
-    pub(super) fn change_confirmed(&mut self, patch: Map<String, Value>) -> bool {
-        let replica = &mut self.facilities.replica;
-        let changed = replica.settings.changed(Value::Object(patch).to_string().as_bytes());
-        match changed {
-            Ok(settings) => {
-                replica.settings.change(settings);
-                replica.add("settings_recovered", 1);
-                true
-            }
-            Err(_) => {
-                replica.add("settings_not_recovered", 1);
-                false
-            }
+    /// Says the changes again that the leader does not have, as far as it has announced: what came of the commands, if that is
+    /// remembered.
+    pub(super) fn say_changes_since(&mut self, announced: &AnnouncedSettings) {
+        let facilities = &mut self.facilities;
+        let missing = facilities.replica.settings.changed_since(announced);
+        if missing.is_empty() {
+            return;
         }
-    }
-
-    /// Says again what this instance had confirmed: whoever leads now may not have received it.
-    pub(super) fn say_confirmed_changes(&mut self) {
-        for outcome in &self.confirmed_before {
-            self.facilities.publish(Message::Outcome(Arc::clone(outcome)));
-        }
-    }
-
-    /// This instance does not lead any more, or begins: it notes what it has confirmed, and what it knows that its settings lack.
-    pub(super) fn note_confirmed(&mut self, missed: &[CommandName]) {
-        self.confirmed_before = self.confirmed_changes(missed);
-        let Facilities { operator_commands, replica, .. } = &mut self.facilities;
-        replica.settings.had_confirmed(&self.confirmed_before, operator_commands.outcomes());
-    }
-
-    /// The newest changes that this instance has confirmed up to its last term and that are in force, the oldest first: another leader
-    /// may have begun its term before it could know of them. Also those that are `missed`.
-    fn confirmed_changes(&self, missed: &[CommandName]) -> Vec<Arc<CommandOutcome>> {
-        let Facilities { operator_commands, replica, .. } = &self.facilities;
-        let is_in_force =
-            |(field, value)| !replica.settings.lacks(&Map::from_iter([(field, value)]));
-        let counts = |outcome: &&Arc<CommandOutcome>| {
-            let is_missed = missed.contains(&(outcome.operator.clone(), outcome.id.clone()));
-            let is_own = outcome.header.revision.term <= replica.revision().term;
-            confirmed_patch(outcome)
-                .is_some_and(|patch| is_missed || is_own && patch.into_iter().any(is_in_force))
+        let is_missing = |outcome: &&Arc<CommandOutcome>| {
+            let changed = outcome.changed.as_ref();
+            changed.is_some_and(|changed| missing.values().any(|missing| *missing == changed.at))
         };
-        let mut own: Vec<_> = operator_commands.own_outcomes().filter(counts).cloned().collect();
-        own.split_off(own.len().saturating_sub(MAX_MISSED))
+        let said: Vec<_> =
+            facilities.operator_commands.outcomes().filter(is_missing).cloned().collect();
+        for outcome in said {
+            facilities.publish(Message::Outcome(outcome));
+        }
     }
 
     fn command(&mut self, get: Get, name: CommandName) {
@@ -247,7 +207,7 @@ impl<C: Core> Host<C> {
         };
         facilities.gets.exchange(get.id, request.clone());
         facilities.replica.add("commands", 1);
-        let pending = Pending { name, command, request: get.request.clone() };
+        let pending = Pending { name, command, request: get.request.clone(), changed: None };
         facilities.operator_commands.begin(get.id, pending);
         Ok(request)
     }
@@ -305,6 +265,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
             refused: remembered(&problem).or_else(|| Some(problem_json("(command)", "is refused"))),
             answer: None,
             may_be_repeated,
+            changed: None,
         });
         self.publish_outcome(&outcome);
         self.replica.add("commands_refused", 1);
@@ -316,7 +277,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
     /// Returns the problem.
     fn refuse_command(&mut self, name: &CommandName, refusal: Refusal<'_>) -> String {
         let (outcome, problem) = self.report_refusal(name, refusal);
-        self.operator_commands.remember_own(outcome);
+        self.operator_commands.remember(outcome);
         problem
     }
 
@@ -336,7 +297,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
         pending: Pending,
         answer: Result<Vec<Packet>, String>,
     ) -> Result<Vec<Packet>, String> {
-        let Pending { name, command, request } = pending;
+        let Pending { name, command, request, changed } = pending;
         if !self.replica.election.has_term() {
             // Another instance leads by now, and knows nothing of it.
             return answer;
@@ -357,8 +318,10 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
             }),
             answer: text.and_then(remembered),
             may_be_repeated: false,
+            changed: changed
+                .filter(|changed| answer.is_ok() && remembered(&changed.fields).is_some()),
         });
-        self.operator_commands.remember_own(Arc::clone(&outcome));
+        self.operator_commands.remember(Arc::clone(&outcome));
         self.store();
         self.publish_outcome(&outcome);
         self.report_command(&name, outcome.action.clone(), outcome.refused.as_deref());

@@ -12,7 +12,7 @@ use crate::fetches::Purpose;
 use crate::replica::Replica;
 use crate::replica::election::{Decision, Reconnection, RenewalSource, Rivalry};
 use crate::replica::lease::TermCheck;
-use crate::replica::settings::Adoption;
+use crate::replica::settings::{Adoption, Merging};
 use crate::wiring::Replication;
 
 /// Why an instance asks the bus what there is.
@@ -58,8 +58,6 @@ impl<C: Core> Host<C> {
     }
 
     pub(super) fn link_restored(&mut self) {
-        // What it has said lately was perhaps said into a dead link.
-        self.facilities.replica.settings.repeat_confirmations();
         match self.facilities.replica.election.link_restored(self.facilities.now) {
             Reconnection::Resume => self.report_connectivity(Connectivity::Online),
             Reconnection::Inquire => {
@@ -73,13 +71,7 @@ impl<C: Core> Host<C> {
     pub(super) fn renewal(&mut self, renewal: &LeaseRenewal, source: RenewalSource) -> Rivalry {
         let replica = &mut self.facilities.replica;
         let term = replica.revision().term;
-        let before = replica.election.state();
-        let rivalry = replica.election.renewal(self.facilities.now, renewal, source, term);
-        if before != ReplicaState::Standby && replica.election.state() == ReplicaState::Standby {
-            // What it asked as it began may be answered seconds later, and it may take over before that.
-            replica.settings.repeat_confirmations();
-        }
-        rivalry
+        replica.election.renewal(self.facilities.now, renewal, source, term)
     }
 
     /// Settles which of two leaders goes on.
@@ -101,9 +93,8 @@ impl<C: Core> Host<C> {
 
     pub(super) fn stand_down(&mut self) {
         let replica = &mut self.facilities.replica;
-        replica.settings.stood_down(replica.revision());
+        replica.settings.stood_down(replica.revision().term);
         self.facilities.unsaid.clear();
-        self.note_confirmed(&[]);
         self.facilities.fetches.forget();
         self.facilities.fetched.clear();
         self.facilities.abandon_job();
@@ -112,9 +103,16 @@ impl<C: Core> Host<C> {
         self.inquire();
     }
 
+    /// Another instance has announced settings, or answered with them.
     pub(super) fn adopt(&mut self, announced: &AnnouncedSettings) {
         let replica = &mut self.facilities.replica;
         if replica.election.has_term() {
+            if C::REPLICATION == Replication::OneLeads {
+                let merging = replica.settings.merge_announced(announced);
+                if merging != Merging::Known {
+                    self.settings_merged(merging);
+                }
+            }
             return;
         }
         let followed = replica.election.followed();
@@ -123,6 +121,9 @@ impl<C: Core> Host<C> {
             Adoption::Unchanged | Adoption::WithoutTerm | Adoption::NotLeaders => {}
             Adoption::Old => replica.add("settings_old", 1),
             Adoption::Misfit => replica.add("settings_not_adopted", 1),
+        }
+        if followed.is_some_and(|leader| leader.term == announced.header.revision.term) {
+            self.say_changes_since(announced);
         }
     }
 
@@ -135,7 +136,7 @@ impl<C: Core> Host<C> {
         }
         replica.settings.note_loss();
         let Some(leader) = replica.election.followed() else { return };
-        if replica.settings.are_known() && replica.settings.adopted().term < leader.term {
+        if replica.settings.are_known() && replica.settings.adopted() < leader.term {
             replica.election.replace_leader(self.facilities.now);
         }
     }
@@ -167,14 +168,8 @@ impl<C: Core> Host<C> {
     pub(super) fn leader_renewed(&mut self) {
         let replica = &mut self.facilities.replica;
         let Some(leader) = replica.election.followed() else { return };
-        // An instance that still asks what there is says them once it knows that it follows.
-        let is_due = replica.election.state() == ReplicaState::Standby
-            && replica.settings.are_confirmations_said_again();
         if let Some(announced) = replica.settings.renewed(leader) {
             self.adopt(&announced);
-        }
-        if is_due {
-            self.say_confirmed_changes();
         }
     }
 
@@ -216,9 +211,7 @@ impl<C: Core> Host<C> {
                 Message::Settings(announced) if announced.service == C::SERVICE => {
                     let now = self.facilities.now;
                     self.facilities.replica.note_stored_by_other(now, &announced);
-                    if !self.facilities.replica.settings.were_adopted_after(&announced) {
-                        self.adopt(&announced);
-                    }
+                    self.adopt(&announced);
                 }
                 Message::Outcome(outcome) if outcome.service == C::SERVICE => {
                     self.learn_outcome(outcome);
@@ -229,8 +222,6 @@ impl<C: Core> Host<C> {
         match decision {
             Decision::Lead => self.lead(wanted, seen, occasion),
             Decision::StandBy | Decision::Wait => {
-                self.facilities.replica.settings.repeat_confirmations();
-                self.say_confirmed_changes();
                 self.core.on_follow(&mut Context(&mut self.facilities), wanted);
             }
         }
@@ -240,13 +231,6 @@ impl<C: Core> Host<C> {
         // A standby that takes over may never have led on this host.
         if occasion == Occasion::Start {
             self.facilities.notice_state_loss(seen);
-        }
-        for mut missed in self.facilities.replica.settings.take_missed() {
-            let (time, term) = (missed.time, missed.confirmed_lately_in());
-            self.facilities.operator_commands.drop_changed_later(&mut missed.patch, time, term);
-            if self.facilities.replica.settings.lacks(&missed.patch) {
-                self.change_confirmed(missed.patch);
-            }
         }
         self.begin_term(seen);
         self.core.on_lead(&mut Context(&mut self.facilities), answers);

@@ -6,7 +6,7 @@ use muster_model::event::{EventKind, Severity};
 use muster_model::header::Revision;
 use muster_model::settings::Settings;
 use muster_model::status::StatusGauge;
-use muster_model::term::highest_term;
+use muster_model::term::{highest_term, latest_date};
 use muster_wire::message::quoted;
 use muster_wire::{Message, Rejection};
 
@@ -18,15 +18,33 @@ const STORE_RETRY_INTERVAL: Duration = Duration::from_secs(10);
 /// The counter of a status for messages with a term that is not believed.
 const TERMS_REFUSED: &str = "terms_refused";
 
+/// The same for changes of settings with a date that is not believed.
+const DATES_REFUSED: &str = "dates_refused";
+
 impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
-    /// A message, if its term is believed. One far above what any clock allows was forged: a leader that
-    /// went above it would be believed by nobody.
+    /// A message, if its term is believed, and the dates of changes in it are. One far above what any clock allows was forged: a
+    /// leader that went above it would be believed by no instance.
     ///
     /// # Errors
     /// The refusal, which names the bound.
     pub(crate) fn believed(&mut self, key: &str, message: Message) -> Result<Message, Rejection> {
         let term = message.header().map_or(0, |header| header.revision.term);
         let replica = &mut self.replica;
+        let latest = latest_date(self.now);
+        let changed = match &message {
+            Message::Settings(announced) => announced.changed.values().max().copied(),
+            Message::Outcome(outcome) => outcome.changed.as_ref().map(|changed| changed.at),
+            _ => None,
+        };
+        if let Some(changed) = changed.filter(|changed| *changed > latest) {
+            replica.add(DATES_REFUSED, 1);
+            let reason = format!(
+                "changed: {} is above {}, which no operator can have sent; it was forged or a clock is wrong",
+                changed.as_seconds(),
+                latest.as_seconds()
+            );
+            return Err(Rejection::new(&replica.space, key, reason));
+        }
         if replica.believes(self.now, term) {
             return Ok(message);
         }

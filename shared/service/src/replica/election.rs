@@ -181,11 +181,6 @@ impl Election {
         Some(self.candidate()?.leader.as_ref()?.revision)
     }
 
-    /// The term of the leader that this instance takes over from, though that lives.
-    pub(crate) fn replaced_term(&self) -> Option<u64> {
-        self.candidate()?.replaces
-    }
-
     /// The highest term that another instance has claimed.
     pub(crate) fn highest_term(&self) -> u64 {
         self.highest_term

@@ -1,9 +1,9 @@
 //! One instance of a service among others: its place in the election, the term and revision of its
 //! output, its settings, counters, and refused messages.
 
+pub(crate) mod changes;
 pub(crate) mod election;
 pub(crate) mod lease;
-pub(crate) mod missed_changes;
 pub(crate) mod peers;
 pub(crate) mod refusals;
 pub(crate) mod settings;
@@ -18,13 +18,12 @@ use muster_model::refused::Refused;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::settings::Settings;
 use muster_model::status::{ServiceStatus, StatusGauge};
-use muster_model::term::{clock_term, highest_term};
+use muster_model::term::{clock_term, highest_term, latest_date};
 use muster_model::time::Tick;
 use muster_wire::envelope::AnnouncedSettings;
 use muster_wire::{KeySpace, Message};
 
 use self::election::Election;
-use self::missed_changes::OutcomeMoment;
 use self::refusals::Refusals;
 use self::settings::ReplicaSettings;
 use crate::start::{Start, Stored};
@@ -64,16 +63,10 @@ impl<S: Settings> Replica<S> {
             format!("the stored term {kept} is above {highest}, so the file is damaged")
         });
         let revision = Revision { term: stored_term, epoch: 0 };
-        let missed = &start.stored.missed;
-        let is_in_patch = |outcome: &&CommandOutcome| {
-            !missed.contains(&(outcome.operator.clone(), outcome.id.clone()))
-        };
-        let stored = start.stored.commands.iter().filter(is_in_patch).map(OutcomeMoment::of);
-        let newest_outcome = stored.max().unwrap_or_default();
-        let confirmed = start.stored.basis_sent;
-        let basis = start.stored.basis.map(|revision| OutcomeMoment { revision, confirmed });
         // A standby that never led has settings of its leader, and no term.
-        let has_some = !start.stored.patch.is_empty() || newest_outcome.revision.term > 0;
+        let is_of_leader = |outcome: &CommandOutcome| outcome.header.revision.term > 0;
+        let has_some =
+            !start.stored.patch.is_empty() || start.stored.commands.iter().any(is_of_leader);
         let are_settings_known = !start.stored.lacks_settings && (stored_term > 0 || has_some);
         // What works for itself may store nothing for a long time.
         let is_empty = kept == 0 && replication == Replication::OneLeads;
@@ -86,9 +79,9 @@ impl<S: Settings> Replica<S> {
             settings: ReplicaSettings::new(
                 start.settings,
                 &start.stored.patch,
-                are_settings_known.then_some(revision),
-                basis,
-                newest_outcome,
+                &start.stored.changed,
+                are_settings_known.then_some(stored_term),
+                latest_date(start.now),
             ),
             refusals: Refusals::default(),
             started: start.now,
@@ -161,15 +154,12 @@ impl<S: Settings> Replica<S> {
 
     /// What is kept over a restart, without the commands.
     pub(crate) fn stored(&self) -> Stored {
-        let (basis, basis_sent) = self.settings.basis();
         Stored {
             term: self.stored_term,
-            patch: self.settings.patch().clone(),
+            patch: self.settings.patch(),
+            changed: self.settings.dates(),
             lacks_settings: !self.settings.are_known(),
             commands: Vec::new(),
-            basis: Some(basis),
-            basis_sent,
-            missed: self.settings.missed_commands().cloned().collect(),
         }
     }
 
@@ -192,6 +182,7 @@ impl<S: Settings> Replica<S> {
             header: self.own_header(now, revision),
             service: self.service,
             settings: self.settings.to_json(),
+            changed: self.settings.dates_in_force(),
         }))
     }
 

@@ -4,16 +4,17 @@ mod links;
 mod operator;
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap, VecDeque};
+use std::collections::{BTreeMap, BinaryHeap, VecDeque};
 use std::ops::Range;
 
+use muster_model::command::CommandOutcome;
 use muster_model::id::{InstanceId, ServiceName};
 use muster_model::role::ReplicaState;
 use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
 use muster_service::testkit::Bench;
 use muster_service::{Ask, Command, GetId, IncomingGet, Input, Start, Stored};
-use muster_wire::{Message, Packet};
+use muster_wire::Message;
 use serde_json::{Value, json};
 
 use crate::small::{ONE_LEADS, Small, order, space};
@@ -164,11 +165,8 @@ pub(super) struct World {
     /// How many commands there are, and the first that is not confirmed.
     wanted: usize,
     next: usize,
-    /// The value of each field that was confirmed last, and in which term, if that is to hold. What a leader confirms that never received the
-    /// term of another one, as it was cut off, may not outlast that one's.
-    confirmed: BTreeMap<&'static str, (u32, u64)>,
-    /// Who has led in each term. Of two that led in the same one neither was before the other, and their clocks differ.
-    led: BTreeMap<u64, BTreeSet<usize>>,
+    /// The value of each field that was confirmed last, by whichever leader.
+    confirmed: BTreeMap<&'static str, u32>,
     pub(super) log: Option<Vec<String>>,
 }
 
@@ -219,7 +217,6 @@ impl World {
             wanted: 0,
             next: 0,
             confirmed: BTreeMap::new(),
-            led: BTreeMap::new(),
             log: is_logged.then(Vec::new),
         };
         for at in 0..world.plan.len() {
@@ -406,9 +403,6 @@ impl World {
         bench.input(input);
         let after = bench.host.replica_state();
         let (teams, restarts) = (bench.host.core().teams, bench.host.core().restarts);
-        if after == ReplicaState::Leading {
-            self.led.entry(bench.status().revision.term).or_default().insert(host);
-        }
         if let Some(text) = text {
             self.say(|| {
                 format!("{} ({before:?}) {text}: {after:?}, has {teams}/{restarts}", HOSTS[host])
@@ -455,11 +449,7 @@ impl World {
                     self.send(Some(host), asker, Carried::Answer(process, question, messages));
                 }
                 Waiting::Operator(command) => {
-                    let term = |packet: &Packet| {
-                        let outcome = packet.payload.as_ref().unwrap();
-                        serde_json::from_slice::<Value>(outcome).unwrap()["term"].as_u64().unwrap()
-                    };
-                    let answer = reply.answer.map(|packets| packets.first().map(term));
+                    let answer = reply.answer.map(|packets| !packets.is_empty());
                     self.answered(host, command, answer);
                 }
             }
@@ -483,10 +473,12 @@ fn in_short(input: &Input) -> String {
         Some(Message::Settings(announced)) => {
             let settings: Value = serde_json::from_str(&announced.settings).unwrap();
             let (teams, restarts) = (&settings["teams"], &settings["restarts"]);
-            format!("settings {:?} {teams}/{restarts}", announced.header.revision)
+            let (revision, changed) = (announced.header.revision, &announced.changed);
+            format!("settings {revision:?} {teams}/{restarts} {changed:?}")
         }
         Some(Message::Outcome(outcome)) => {
-            format!("outcome {} {:?} {:?}", outcome.id, outcome.header.revision, outcome.refused)
+            let CommandOutcome { header, id, refused, changed, .. } = &**outcome;
+            format!("outcome {id} {:?} {changed:?} {refused:?}", header.revision)
         }
         other => format!("{other:?}"),
     };

@@ -1,11 +1,14 @@
 //! A small core that does everything that cores do, and a host of it that is driven by hand.
 
+use std::collections::BTreeMap;
 use std::ops::{Deref, DerefMut};
+use std::sync::Arc;
 use std::time::Duration;
 
+use muster_model::command::CommandOutcome;
 use muster_model::content::Checked;
 use muster_model::event::{EventKind, Severity};
-use muster_model::header::{Header, Revision, StageTime};
+use muster_model::header::{Header, Revision};
 use muster_model::history::{Page, Query, Record, RecordingReport, Retention, Subject};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::{CheckedReport, Pose, Report};
@@ -20,6 +23,7 @@ use muster_service::{
 };
 use muster_wire::envelope::AnnouncedSettings;
 use muster_wire::{ForeignKey, Key, KeySpace, Message, Packet, Pattern};
+use serde_json::{Value, json};
 
 /// Stands for settings without a fixed number of teams, such as the default ones.
 pub(crate) const AUTO: u32 = 0;
@@ -285,19 +289,28 @@ pub(crate) fn renewal(host: &str, term: u64, epoch: u64) -> Message {
     }))
 }
 
+/// Settings that a leader has announced, or answered. No operator has changed them.
 pub(crate) fn settings(term: u64, epoch: u64, teams: u32) -> Message {
-    settings_sent(START, term, epoch, teams)
+    settings_with((term, epoch), teams, BTreeMap::new())
 }
 
-/// Settings that a leader has announced, or answered, at a moment by its clock.
-pub(crate) fn settings_sent(published: Tick, term: u64, epoch: u64, teams: u32) -> Message {
+/// Settings of a leader whose number of teams an operator has changed at a moment.
+pub(crate) fn settings_changed(changed: Tick, term: u64, epoch: u64, teams: u32) -> Message {
+    settings_with((term, epoch), teams, BTreeMap::from([("teams".to_owned(), changed)]))
+}
+
+fn settings_with(
+    (term, epoch): (u64, u64),
+    teams: u32,
+    changed: BTreeMap<String, Tick>,
+) -> Message {
     let teams = TeamCount::Fixed(teams);
     let settings = ClustererSettings { teams, ..ClustererSettings::default() };
-    let stage = StageTime { stage: ServiceName::Clusterer, received: published, published };
     Message::Settings(Box::new(AnnouncedSettings {
-        header: Header { stages: vec![stage], ..header(Revision { term, epoch }) },
+        header: header(Revision { term, epoch }),
         service: ServiceName::Clusterer,
         settings: serde_json::to_string(&settings).unwrap(),
+        changed,
     }))
 }
 
@@ -415,4 +428,47 @@ impl<const KIND: u8> Driven<KIND> {
         }
         announced
     }
+}
+
+/// Sends a command and returns its answer.
+pub(crate) fn command(driven: &mut Driven, key: &str, content: &Value) -> Result<Value, String> {
+    let before = driven.replies.len();
+    let get = GetId(1000 + before as u64);
+    driven.input(Input::Get(IncomingGet {
+        get,
+        selector: format!("muster/v1/alpha/command/clusterer/{key}"),
+        narrowed: None,
+        parameters: String::new(),
+        payload: (!content.is_null()).then(|| content.to_string().into_bytes()),
+    }));
+    assert_eq!(driven.replies.len(), before + 1, "one answer");
+    let answer = driven.replies[before].answer.clone()?;
+    let Some(packet) = answer.first() else { return Ok(Value::Null) };
+    assert_eq!(packet.key, format!("muster/v1/alpha/command/clusterer/{key}"));
+    Ok(serde_json::from_slice(packet.payload.as_ref().unwrap()).unwrap())
+}
+
+/// Sends a command that changes settings, by a right clock.
+pub(crate) fn set(driven: &mut Driven, key: &str, patch: &Value) -> Result<Value, String> {
+    let now = driven.now.as_seconds();
+    let content = json!({"sent": now, "expires": now + 60.0, "action": {"set": patch}});
+    command(driven, key, &content)
+}
+
+/// What it has published of commands.
+pub(crate) fn outcomes(driven: &Driven) -> Vec<Arc<CommandOutcome>> {
+    let outcome = |message: &Message| match message {
+        Message::Outcome(outcome) => Some(Arc::clone(outcome)),
+        _ => None,
+    };
+    driven.commanded.iter().filter_map(outcome).collect()
+}
+
+/// The leader is gone, and no instance answers.
+pub(crate) fn take_over(driven: &mut Driven) {
+    driven.receive(token("a", true));
+    driven.receive(token("a", false));
+    driven.wait(0.5);
+    driven.answer_all(Vec::new());
+    assert_eq!(driven.host.replica_state(), ReplicaState::Leading);
 }

@@ -7,7 +7,7 @@ use muster_model::alert::{Acknowledgement, Alert, AlertKind, AlertSubject, Alert
 use muster_model::audit::{
     Audit, Flapping, Quality, RobotReturns, SilhouetteMethod, SilhouetteReport, Space,
 };
-use muster_model::command::CommandOutcome;
+use muster_model::command::{CommandOutcome, SettingsChange};
 use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::{Event, EventKind, Severity};
@@ -359,6 +359,7 @@ pub(crate) fn all() -> Vec<(&'static str, Message)> {
                 header: header(44),
                 service: ServiceName::Clusterer,
                 settings: "{\"teams\":3}".to_owned(),
+                changed: BTreeMap::from([("teams".to_owned(), Tick(NOW.0 - 7))]),
             })),
         ),
         (
@@ -443,6 +444,7 @@ fn outcome() -> CommandOutcome {
         refused: None,
         answer: Some("{\"teams\":3}".to_owned()),
         may_be_repeated: false,
+        changed: Some(SettingsChange { at: Tick(NOW.0 - 7), fields: "{\"teams\":3}".to_owned() }),
     }
 }
 

@@ -26,13 +26,8 @@ impl World {
         }
     }
 
-    /// A host has answered a command, in a term if it has carried it out. Its answer may be lost.
-    pub(super) fn answered(
-        &mut self,
-        host: usize,
-        command: usize,
-        answer: Result<Option<u64>, String>,
-    ) {
+    /// A host has answered a command, and has carried it out or not. Its answer may be lost.
+    pub(super) fn answered(&mut self, host: usize, command: usize, answer: Result<bool, String>) {
         let link = &self.nodes[host].link;
         let is_lost = match link.storm {
             Some((until, lost, ..)) if until > self.now => self.chance.within(0..100) < lost,
@@ -43,18 +38,12 @@ impl World {
         }
         self.say(|| format!("the operator has {answer:?} to c{command}"));
         match answer {
-            Ok(Some(term)) => {
-                let highest = self.led.last_key_value().map_or(0, |(term, _)| *term);
-                for (field, value) in patch_of(command) {
-                    self.confirmed.remove(field);
-                    if term >= highest {
-                        self.confirmed.insert(field, (value, term));
-                    }
-                }
+            Ok(true) => {
+                self.confirmed.extend(patch_of(command));
                 self.next += 1;
             }
             // A standby leaves it to the leader; one that starts is asked again.
-            Ok(None) => {}
+            Ok(false) => {}
             Err(problem) if problem.contains("\"field\":\"(command)\"") => {}
             Err(problem) => panic!("{problem}"),
         }
@@ -81,7 +70,7 @@ impl World {
                 _ if values[0] != values[1] => {
                     return Err(format!("{field}: they have {values:?}"));
                 }
-                Some((confirmed, term)) if values[0] != *confirmed && self.led[term].len() == 1 => {
+                Some(confirmed) if values[0] != *confirmed => {
                     let text =
                         format!("{field} {confirmed} was confirmed, and they have {values:?}");
                     return Err(text);
