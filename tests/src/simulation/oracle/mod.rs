@@ -296,10 +296,15 @@ impl Oracle {
 
     /// A process carries a command out once, however often it arrives.
     fn check_outcome(&mut self, publisher: Publisher, outcome: &CommandOutcome) -> Verified {
+        let is_known = |((_, operator, id), known): (&(Publisher, _, _), &CommandOutcome)| {
+            (operator, id) == (&outcome.operator, &outcome.id) && known == outcome
+        };
+        // Said again, by whichever process, it is the same to the time at which it was carried out.
+        if self.carried_out.iter().any(is_known) {
+            return Ok(());
+        }
         let name = (publisher, outcome.operator.clone(), outcome.id.clone());
-        // Said again, it is the same to the time at which it was carried out.
-        let before = self.carried_out.insert(name, outcome.clone());
-        if before.is_none_or(|before| before == *outcome) {
+        if self.carried_out.insert(name, outcome.clone()).is_none() {
             return Ok(());
         }
         breach(
