@@ -7,9 +7,9 @@ use anyhow::Context;
 use muster_model::id::{FleetId, ServiceName};
 use muster_service::Stored;
 
-/// Largest file that is read back: 256 outcomes of commands with four texts of 4 KiB each, in which JSON may double every character, and
+/// Largest file that is read back: 256 outcomes of commands with four texts of 4 KiB each, of which JSON may write every byte as six, and
 /// settings, which are far smaller.
-const MAX_FILE: u64 = 16 * 1024 * 1024;
+const MAX_FILE: u64 = 32 * 1024 * 1024;
 
 /// The file of one service.
 #[derive(Debug, Clone)]

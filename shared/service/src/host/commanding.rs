@@ -130,7 +130,7 @@ impl<C: Core> Host<C> {
     }
 
     /// Says the changes again that the leader does not have, as far as it has announced: what came of the commands, if that is
-    /// remembered.
+    /// remembered. There is no more to say than one for each field, so that a forged announcement draws no more than that either.
     pub(super) fn say_changes_since(&mut self, announced: &AnnouncedSettings) {
         let facilities = &mut self.facilities;
         let missing = facilities.replica.settings.changed_since(announced);
@@ -141,8 +141,13 @@ impl<C: Core> Host<C> {
             let changed = outcome.changed.as_ref();
             changed.is_some_and(|changed| missing.values().any(|missing| *missing == changed.at))
         };
-        let said: Vec<_> =
-            facilities.operator_commands.outcomes().filter(is_missing).cloned().collect();
+        let said: Vec<_> = facilities
+            .operator_commands
+            .outcomes()
+            .filter(is_missing)
+            .take(missing.len())
+            .cloned()
+            .collect();
         for outcome in said {
             facilities.publish(Message::Outcome(outcome));
         }
