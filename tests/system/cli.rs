@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use muster_model::content::Checked;
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, RobotId, TeamId};
+use muster_model::remembered::RememberedTeams;
 use muster_model::teams::{Member, Team, Teams};
 use muster_model::time::Tick;
 use muster_tests::SOON;
@@ -113,6 +114,7 @@ pub(crate) fn division(term: u64, epoch: u64, team: u64) -> Outbound {
         needs: vec![],
         provisional: vec![],
         held: vec![],
+        remembered: RememberedTeams::default(),
     };
     let message = Message::Teams { teams: Checked::new_unchecked(teams), mirror: false };
     message.publish(Tick(0)).unwrap().swap_remove(0)

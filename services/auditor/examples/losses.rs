@@ -20,6 +20,7 @@ use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, TeamId};
+use muster_model::remembered::RememberedTeams;
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::AuditorSettings;
 use muster_model::teams::{Member, Team, Teams};
@@ -152,6 +153,7 @@ impl Fleet {
             needs: vec![],
             provisional: vec![],
             held: vec![],
+            remembered: RememberedTeams::default(),
         };
         Message::Teams { teams: Checked::new(teams).expect("a division"), mirror: false }
     }

@@ -203,6 +203,7 @@ fn robots(teams: &Teams) -> impl Iterator<Item = (&RobotId, Option<&TeamId>)> {
 mod tests {
     use muster_model::header::{Header, Revision};
     use muster_model::id::FleetId;
+    use muster_model::remembered::RememberedTeams;
     use muster_model::teams::{Member, Team};
     use muster_model::time::seconds;
 
@@ -254,6 +255,7 @@ mod tests {
             needs: vec![],
             provisional: vec![],
             held: vec![],
+            remembered: RememberedTeams::default(),
         })
         .unwrap()
     }

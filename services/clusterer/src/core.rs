@@ -14,7 +14,7 @@ use muster_division::division::{DivisionError, Job, Staying, divide, same_data};
 use muster_division::identity::is_believable;
 use muster_division::memory::Memory;
 use muster_division::rules::{TeamRules, asks_alike};
-use muster_division::seats::{Arrivals, Vacancies};
+use muster_division::seats::Arrivals;
 use muster_division::words::plural;
 use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
@@ -126,8 +126,6 @@ pub struct Clusterer {
     keeping: Keeping,
     /// The robots of the division of an earlier leader are awaited.
     reunion: Option<Reunion>,
-    /// Seats that the division of an earlier leader kept for absent teams.
-    vacancies: Vacancies,
     /// Since when robots that return have no relations yet.
     returning_since: Option<Tick>,
     /// When it was last looked at whether a job is to start. What was due by then has had its turn, even where a

@@ -197,6 +197,7 @@ fn moves_any(before: &Teams, new: &Teams, renewed: &BTreeSet<&RobotId>) -> bool 
 pub(crate) mod tests {
     use muster_model::header::{Header, Revision};
     use muster_model::id::FleetId;
+    use muster_model::remembered::RememberedTeams;
     use muster_model::teams::{Member, Team};
 
     use super::*;
@@ -248,6 +249,7 @@ pub(crate) mod tests {
             needs: vec![],
             provisional: vec![],
             held: vec![],
+            remembered: RememberedTeams::default(),
         }
     }
 

@@ -2,23 +2,20 @@
 //!
 //! The last division is written when its teams have changed, not with every frame. Numbers of new teams are
 //! reserved on disk in blocks, before a division can give them: whatever was lost since, no number is given
-//! again. With it is written which teams robots had before it: those that are absent keep their place and their id over a
+//! again. A division says itself which teams robots had before it: those that are absent keep their place and their id over a
 //! restart. A standby keeps the divisions that it receives.
 
 use std::collections::VecDeque;
-use std::sync::Arc;
 use std::time::Duration;
 
 use muster_model::content::Checked;
 use muster_model::id::RobotId;
-use muster_model::remembered::RememberedTeams;
 use muster_model::teams::{Limited, Team, Teams};
 use muster_model::time::Tick;
 use muster_model::wish::WishList;
 use muster_wire::kept::KeptTeams;
 
 use muster_division::identity::{MAX_KEPT_NUMBER, is_believable};
-use muster_division::memory::Memory;
 
 /// Shortest time between two writes of divisions: a fleet that changes in every frame must not wear out its
 /// disk, and what a power cut may lose is less than half a second of changes.
@@ -41,13 +38,8 @@ pub(crate) struct Keeping {
     newest: Option<Checked<Teams>>,
     /// Whether that was published in the life of this process, and not only found on disk.
     was_received: bool,
-    /// Teams that robots had before it.
-    memory: Arc<Memory>,
-    /// The same, as it was found on disk, until the time is known from which on it counts.
-    restored: Option<RememberedTeams>,
-    /// The division of the last write, and what was remembered then.
+    /// The division of the last write.
     written: Option<Checked<Teams>>,
-    written_memory: Arc<Memory>,
     /// Whether those two differ in what matters after a restart.
     is_changed: bool,
     /// When a division was last written.
@@ -58,10 +50,6 @@ pub(crate) struct Keeping {
     under_way: VecDeque<u64>,
     /// All wishes, as they were published last.
     wishes: Option<Checked<WishList>>,
-    /// How many places are kept for absent teams of which nothing is remembered; none if it is not known.
-    vacant: Option<u32>,
-    /// The same at the last write.
-    written_vacant: Option<u32>,
     /// The wishes of the last write.
     written_wishes: Option<Checked<WishList>>,
     /// How many writes were begun, and how many have ended.
@@ -92,8 +80,6 @@ impl Keeping {
         (self.reserved, self.requested) = (kept.reserved, kept.reserved);
         self.written.clone_from(&kept.teams);
         self.newest = kept.teams;
-        self.restored = Some(kept.remembered);
-        (self.vacant, self.written_vacant) = (kept.vacant, kept.vacant);
         self.written_wishes.clone_from(&kept.wishes);
         self.wishes = kept.wishes;
         Ok(())
@@ -146,48 +132,12 @@ impl Keeping {
         self.division().filter(|_| self.was_received)
     }
 
-    /// This instance has published a division. `memory` holds the teams that robots had before it.
-    /// `vacant` is how many places are kept for others.
-    pub(crate) fn note(&mut self, teams: &Checked<Teams>, memory: &Arc<Memory>, vacant: u32) {
-        self.memory = Arc::clone(memory);
-        self.vacant = Some(vacant);
-        self.restored = None;
-        self.note_division(teams);
-    }
-
-    fn note_division(&mut self, teams: &Checked<Teams>) {
+    /// A division was published, by this instance or another one.
+    pub(crate) fn note(&mut self, teams: &Checked<Teams>) {
         self.next_team = self.next_team.max(teams.next_team);
         self.newest = Some(teams.clone());
         self.was_received = true;
         self.is_changed = self.has_other_teams();
-    }
-
-    /// The teams that robots had before `division`, the last one. What was found on disk belongs to the division that was found
-    /// with it: another one may be much later.
-    pub(crate) fn memory_at(&mut self, now: Tick, division: &Teams) -> Arc<Memory> {
-        let mut memory = Arc::clone(&self.memory);
-        let vacant = self.vacant.take();
-        match self.restored.take() {
-            Some(restored) => {
-                let is_same = self.newest.as_ref().is_some_and(|last| same_teams(last, division));
-                if is_same {
-                    memory = Arc::new(Memory::of(&restored, now));
-                    self.vacant = vacant;
-                }
-            }
-            None => {
-                let memory = Arc::make_mut(&mut memory);
-                memory.forget(now);
-                memory.follow(now, self.newest.as_deref(), division);
-            }
-        }
-        self.memory = Arc::clone(&memory);
-        memory
-    }
-
-    /// How many places are kept for absent teams that nothing is remembered of; none if it is not known.
-    pub(crate) fn vacant(&self) -> Option<u32> {
-        self.vacant
     }
 
     /// Another service remembers a division after which `next_team` was the next number. If nothing is on disk here, what
@@ -199,10 +149,9 @@ impl Keeping {
     }
 
     /// A division was received while another instance leads.
-    pub(crate) fn hear(&mut self, now: Tick, teams: &Checked<Teams>) {
+    pub(crate) fn hear(&mut self, teams: &Checked<Teams>) {
         if is_believable(teams) {
-            self.memory_at(now, teams);
-            self.note_division(teams);
+            self.note(teams);
             // The leader may give some more that this instance does not receive.
             let given = teams.next_team.saturating_add(NUMBER_BLOCK / 2);
             if given > self.requested {
@@ -245,22 +194,17 @@ impl Keeping {
         Some(self.written_at.map_or(Tick(0), |at| at.after(WRITE_INTERVAL)))
     }
 
-    /// Whether robots may wait for a team that is absent: only then the next process holds them back as well.
-    fn may_hold_moves(&self) -> bool {
-        self.memory.robots().next().is_some() || self.vacant.is_some_and(|seats| seats > 0)
-    }
-
     fn has_other_teams(&self) -> bool {
         match (&self.newest, &self.written) {
             (Some(newest), Some(written)) => {
                 // After a restart the term tells whether the embedder has lived on.
                 newest.embedding.term != written.embedding.term
                     || !same_teams(newest, written)
-                    || self.may_hold_moves() && newest.held != written.held
+                    || newest.remembered != written.remembered
+                    // Only where robots are away may the next process hold moves back for them as well.
+                    || !newest.remembered.last.is_empty() && newest.held != written.held
                     || newest.limited.as_ref().is_some_and(Limited::stands)
                         != written.limited.as_ref().is_some_and(Limited::stands)
-                    || !self.memory.remembers_as(&self.written_memory)
-                    || self.vacant != self.written_vacant
             }
             (newest, _) => newest.is_some(),
         }
@@ -272,15 +216,11 @@ impl Keeping {
             self.written_at = Some(now);
         }
         self.written.clone_from(&self.newest);
-        self.written_memory = Arc::clone(&self.memory);
-        self.written_vacant = self.vacant;
         self.written_wishes.clone_from(&self.wishes);
         self.failed_at = None;
         let kept = KeptTeams {
             reserved: self.requested,
-            vacant: self.vacant,
             teams: self.newest.clone(),
-            remembered: self.restored.clone().unwrap_or_else(|| self.memory.remembered()),
             wishes: self.wishes.clone(),
         };
         let bytes = kept.encode().ok();
@@ -339,6 +279,7 @@ fn same_teams(left: &Teams, right: &Teams) -> bool {
 #[cfg(test)]
 mod tests {
     use muster_model::id::{RobotId, TeamId};
+    use muster_model::remembered::RememberedTeams;
     use muster_model::teams::HeldRobot;
 
     use super::*;
@@ -394,42 +335,40 @@ mod tests {
     }
 
     /// Whether a division is written after another one.
-    fn is_written(before: &Teams, memory: &Arc<Memory>, after: Teams) -> bool {
+    fn is_written(before: &Teams, after: Teams) -> bool {
         let mut keeping = Keeping::default();
-        keeping.note(&Checked::new_unchecked(before.clone()), memory, 0);
+        keeping.note(&Checked::new_unchecked(before.clone()));
         assert!(keeping.write(at(0)).is_some());
         keeping.ended(at(0), true);
-        keeping.note(&Checked::new_unchecked(after), memory, 0);
+        keeping.note(&Checked::new_unchecked(after));
         keeping.due().is_some()
     }
 
     #[test]
     fn what_the_next_process_needs_is_written_and_no_more() {
         let before = division(&[("t1", "a b")]);
-        let nothing = Arc::new(Memory::default());
-        let mut absent = Memory::default();
-        absent.follow(at(0), Some(&division(&[("t1", "a b"), ("t2", "c")])), &before);
-        let absent = Arc::new(absent);
-        assert!(!is_written(&before, &nothing, before.clone()));
-        assert!(is_written(&before, &nothing, division(&[("t1", "a"), ("t2", "b")])));
+        assert!(!is_written(&before, before.clone()));
+        assert!(is_written(&before, division(&[("t1", "a"), ("t2", "b")])));
+        let away = vec![(RobotId::new("c").unwrap(), TeamId::numbered(2))];
+        let remembered = RememberedTeams { last: away, ..RememberedTeams::default() };
+        let absent = Teams { remembered, ..before.clone() };
+        assert!(is_written(&before, absent.clone()));
         // A move that is held back counts only where the loss of others holds it.
         let held = HeldRobot { robot: RobotId::new("a").unwrap(), team: TeamId::numbered(2) };
-        let held = Teams { held: vec![held], ..before.clone() };
-        assert!(!is_written(&before, &nothing, held.clone()));
-        assert!(is_written(&before, &absent, held));
+        let held = |teams: &Teams| Teams { held: vec![held.clone()], ..teams.clone() };
+        assert!(!is_written(&before, held(&before)));
+        assert!(is_written(&absent, held(&absent)));
         let limited = Some(Limited::standing("full".to_owned()));
         let standing = Teams { limited, ..before.clone() };
-        assert!(is_written(&before, &nothing, standing.clone()));
-        assert!(!is_written(&standing, &nothing, standing.clone()));
+        assert!(is_written(&before, standing.clone()));
+        assert!(!is_written(&standing, standing.clone()));
     }
 
     #[test]
     fn what_cannot_be_read_is_refused() {
         let mut keeping = Keeping::default();
         assert!(keeping.restore(b"{}").unwrap_err().contains("no file that this service has kept"));
-        let remembered = RememberedTeams::default();
-        let nothing =
-            KeptTeams { reserved: 0, vacant: None, teams: None, remembered, wishes: None };
+        let nothing = KeptTeams { reserved: 0, teams: None, wishes: None };
         let used_up = |reserved| KeptTeams { reserved, ..nothing.clone() }.encode().unwrap();
         for reserved in [MAX_KEPT_NUMBER + 1, u64::MAX] {
             let problem = keeping.restore(&used_up(reserved)).unwrap_err();

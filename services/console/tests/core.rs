@@ -23,6 +23,7 @@ use muster_model::command::Action;
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, Modality, OperatorId, RobotId, ServiceName, TeamId, WishId};
+use muster_model::remembered::RememberedTeams;
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::teams::{Member, Team, Teams};
 use muster_model::time::Tick;
@@ -90,6 +91,7 @@ fn teams(epoch: u64, teams: &[(&str, &[String])]) -> Teams {
         needs: Vec::new(),
         provisional: Vec::new(),
         held: Vec::new(),
+        remembered: RememberedTeams::default(),
     }
 }
 

@@ -8,6 +8,7 @@ use muster_model::embedding::Embedding;
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, OperatorId, RobotId, ServiceName, SkillId, TeamId, WishId};
 use muster_model::limits::MAX_REASON_TEAMS;
+use muster_model::remembered::RememberedTeams;
 use muster_model::settings::{ClustererSettings, EmbedderSettings, TeamSize};
 use muster_model::teams::{HeldRobot, Limited, Member, SkillPrices, Team, Teams};
 use muster_model::why::{DecidedBy, Reason, Why};
@@ -69,6 +70,7 @@ fn division(embedding: &Embedding, label: impl Fn(usize, &RobotId) -> Option<usi
         needs: vec![],
         provisional: vec![],
         held: vec![],
+        remembered: RememberedTeams::default(),
     }
 }
 

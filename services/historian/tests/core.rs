@@ -15,6 +15,7 @@ use muster_model::history::{
     LeaveReason, Query, Record, RecordingReport, RecordingState, Rows, SnapshotCause, Subject,
 };
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName, TeamId};
+use muster_model::remembered::RememberedTeams;
 use muster_model::roster::{Roster, RosterEntry};
 use muster_model::settings::HistorianSettings;
 use muster_model::teams::{Member, Team, Teams};
@@ -68,6 +69,7 @@ fn division(epoch: u64, teams: &[&[usize]]) -> Message {
         needs: vec![],
         provisional: vec![],
         held: vec![],
+        remembered: RememberedTeams::default(),
     };
     Message::Teams { teams: Checked::new(teams).unwrap(), mirror: false }
 }

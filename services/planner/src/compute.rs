@@ -168,7 +168,6 @@ fn situation<'a>(basis: &'a Basis, embedding: &'a Embedding) -> Situation<'a> {
         division: Some(&basis.teams),
         divided_into: None,
         memory: &basis.memory,
-        vacant: 0,
         arrivals: Arrivals::default(),
         embedding,
     }

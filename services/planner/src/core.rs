@@ -51,8 +51,6 @@ pub struct Planner {
     newest_roster: Newest,
     newest_embedding: Newest,
     newest_teams: Newest,
-    /// Teams that robots had before it.
-    memory: Arc<Memory>,
     proposals: Proposals,
     /// Whether settings and wishes are being fetched.
     is_fetching: bool,
@@ -124,16 +122,12 @@ impl Planner {
         accepted.ok()
     }
 
-    /// Accepts a division, and remembers the teams of robots that left theirs, as the clusterer does.
+    /// Accepts a division.
     fn accept_teams(&mut self, now: Tick, teams: Checked<Teams>) {
         if !is_believable(&teams)
             || self.newest_teams.receive(now, teams.header.revision) == Recency::Old
         {
             return;
-        }
-        let last = self.teams.as_ref();
-        if last.is_none_or(|last| !teams.same_division(last)) {
-            Arc::make_mut(&mut self.memory).follow(now, self.teams.as_deref(), &teams);
         }
         self.teams = Some(teams);
     }
@@ -228,9 +222,6 @@ impl Planner {
         answers: &[Message],
     ) -> Result<Basis, SettingsError> {
         let now = context.now();
-        if self.memory.is_overdue(now) {
-            Arc::make_mut(&mut self.memory).forget(now);
-        }
         let (Some(frame), Some(embedding), Some(teams)) =
             (self.follow.frame(), &self.embedding, &self.teams)
         else {
@@ -252,7 +243,7 @@ impl Planner {
             frame: Arc::clone(frame),
             embedding: embedding.clone(),
             teams: teams.clone(),
-            memory: Arc::clone(&self.memory),
+            memory: Arc::new(Memory::of(&teams.remembered, now)),
             clusterer: settings_of(ServiceName::Clusterer, answers)?,
             embedder: settings_of(ServiceName::Embedder, answers)?,
             wishes: wishes.map(|list| list.wishes.clone()).unwrap_or_default(),
@@ -437,7 +428,7 @@ impl Core for Planner {
         let followed = self.follow.memory_use();
         let single = usize::from(self.embedding.is_some()) + usize::from(self.teams.is_some());
         MemoryUse {
-            robots: followed.robots + self.memory.robot_count(),
+            robots: followed.robots,
             messages: followed.messages + single + self.proposals.len() + self.proposals.waiting(),
             ..followed
         }

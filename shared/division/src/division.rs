@@ -9,6 +9,7 @@ use muster_method::params::{DivisionParams, ParamsError};
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, TeamId};
+use muster_model::remembered::RememberedTeams;
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::{Member, Team, TeamChange, TeamCountScore, Teams};
 use muster_numeric::assignment::{CostError, RulesError, WishesError};
@@ -206,6 +207,7 @@ pub(crate) fn assemble(
         needs: vec![],
         provisional: vec![],
         held: vec![],
+        remembered: RememberedTeams::default(),
     })
 }
 

@@ -278,6 +278,7 @@ fn robot_of(change: &TeamChange) -> Option<&RobotId> {
 pub(crate) mod tests {
     use muster_model::header::{Header, Revision};
     use muster_model::id::FleetId;
+    use muster_model::remembered::RememberedTeams;
     use muster_model::teams::{Member, Team};
 
     use super::*;
@@ -321,6 +322,7 @@ pub(crate) mod tests {
             needs: vec![],
             provisional: vec![],
             held: vec![],
+            remembered: RememberedTeams::default(),
         }
     }
 

@@ -37,7 +37,7 @@ pub(crate) struct Ended {
 }
 
 impl Memory {
-    /// What an earlier process remembered. How long ago all that was is not known: it counts from now.
+    /// What the leader of a division remembered with it. How long ago all that was is not known: it counts from now.
     #[must_use]
     pub fn of(remembered: &RememberedTeams, now: Tick) -> Self {
         let RememberedTeams { last, ended, newcomers_from } = remembered;
@@ -49,7 +49,7 @@ impl Memory {
         Self { last, ended: ended.collect(), next_team: 0, newcomers_from: *newcomers_from }
     }
 
-    /// What the next process is to remember.
+    /// What whoever divides next is to remember.
     #[must_use]
     pub fn remembered(&self) -> RememberedTeams {
         let last = self.last.iter().map(|(robot, (team, _))| (robot.clone(), team.clone()));
@@ -60,21 +60,6 @@ impl Memory {
             ended: ended.collect(),
             newcomers_from: self.newcomers_from,
         }
-    }
-
-    /// Whether both remember the same, whenever it was.
-    #[must_use]
-    pub fn remembers_as(&self, other: &Self) -> bool {
-        let last = self.last.iter().zip(&other.last);
-        let ended = self.ended.iter().zip(&other.ended);
-        self.newcomers_from == other.newcomers_from
-            && (self.last.len(), self.ended.len()) == (other.last.len(), other.ended.len())
-            && last
-                .into_iter()
-                .all(|((robot, (team, _)), (other, (last, _)))| (robot, team) == (other, last))
-            && ended.into_iter().all(|((team, ended), (other, last))| {
-                team == other && ended.members == last.members
-            })
     }
 
     /// The robots that are remembered: they have left, or have no team.
@@ -253,13 +238,10 @@ mod tests {
     fn the_next_process_remembers_the_same_from_its_start_on() {
         let before = memory(3, &[2, 3]);
         let after = Memory::of(&before.remembered(), Tick(5_000_000_000));
-        assert!(after.remembers_as(&before) && after.robots().count() == 3);
+        assert_eq!((after.remembered(), after.robots().count()), (before.remembered(), 3));
         assert!(before.is_overdue(Tick(4000).after(TEAM_MEMORY_TIME)));
         assert!(!after.is_overdue(Tick(4_999_999_999).after(TEAM_MEMORY_TIME)));
         assert!(after.is_overdue(Tick(5_000_000_000).after(TEAM_MEMORY_TIME)));
-        for other in [memory(2, &[2, 3]), memory(3, &[2]), memory(3, &[2, 2])] {
-            assert!(!after.remembers_as(&other));
-        }
     }
 
     #[test]

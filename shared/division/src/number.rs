@@ -78,8 +78,6 @@ pub struct Situation<'a> {
     pub divided_into: Option<u32>,
     /// Teams that robots had before.
     pub memory: &'a Memory,
-    /// Seats that are kept for absent teams of which no more is known.
-    pub vacant: u32,
     /// Who came lately.
     pub arrivals: Arrivals,
     /// What is to be divided.
@@ -91,7 +89,7 @@ impl Situation<'_> {
     pub fn demand(&mut self, teams: TeamCount, rules: Option<&TeamRules>) -> Demand {
         let reserved = rules.map(TeamRules::reserved).unwrap_or_default();
         let last = self.division.filter(|division| !division.teams.is_empty());
-        let seats = Seats::of(self.division, self.memory, self.vacant, &reserved, self.embedding);
+        let seats = Seats::of(self.division, self.memory, &reserved, self.embedding);
         let divided_into = last.map(|last| self.divided_into.unwrap_or(last.requested));
         let current = seats.current(divided_into);
         let wanted = seats.wanted(self.now, teams, rules.is_some(), current, &mut self.arrivals);

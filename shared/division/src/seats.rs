@@ -18,12 +18,11 @@ use std::time::Duration;
 
 use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, TeamId};
-use muster_model::limits::MAX_TEAMS;
 use muster_model::settings::TeamCount;
-use muster_model::teams::{Limited, Teams};
+use muster_model::teams::Teams;
 use muster_model::time::Tick;
 
-use crate::memory::{Memory, TEAM_MEMORY_TIME};
+use crate::memory::Memory;
 
 /// For how long after robots have left the number of teams stays, and each of the others in its team: the robots of a team
 /// leave within a second or two, and until the last one has, the vectors rest on a part of the team. At least as much time passes
@@ -57,12 +56,10 @@ pub struct Seats {
 }
 
 impl Seats {
-    /// The seats of the last division and of the teams that are remembered, and `vacant` ones of which no more
-    /// is known. Robots that are in no team on purpose have no seat, and neither has a team of which all robots are.
+    /// The seats of the last division and of the teams that are remembered. Robots that are in no team on purpose have no seat, and neither has a team of which all robots are.
     pub fn of(
         division: Option<&Teams>,
         memory: &Memory,
-        vacant: u32,
         reserved: &BTreeSet<&RobotId>,
         embedding: &Embedding,
     ) -> Self {
@@ -77,7 +74,7 @@ impl Seats {
         let newcomers = last_of.contains(&None);
         let mut members = division.assignments().map(|(robot, _)| robot);
         let have_left = members.any(|robot| embedding.robots.binary_search(robot).is_err());
-        let mut seats = Self { newcomers, have_left, absent: vacant, ..Self::default() };
+        let mut seats = Self { newcomers, have_left, ..Self::default() };
         let occupied: BTreeSet<&TeamId> = last_of.into_iter().flatten().collect();
         for team in &division.teams {
             if occupied.contains(&team.id) {
@@ -162,57 +159,6 @@ impl Seats {
         let (range, present) = (seated.range(), u32::try_from(self.present.len()));
         let from = present.unwrap_or(1).clamp(*range.start(), *range.end());
         TeamCount::Between { from, to: *range.end() }
-    }
-}
-
-/// Seats that were kept for absent teams in a division of an earlier leader, and for which nothing is remembered any more:
-/// whoever returns is a newcomer.
-#[derive(Debug, Clone, Default)]
-pub struct Vacancies {
-    seats: u32,
-    since: Option<Tick>,
-}
-
-impl Vacancies {
-    /// Those of a division of an earlier leader, without those of the teams that are remembered. A division that stands because
-    /// nothing satisfies the limits has fewer teams than were asked for as well, and keeps no seat for that.
-    pub fn of(found: &Teams, memory: &Memory) -> Self {
-        if found.limited.as_ref().is_some_and(Limited::stands) {
-            return Self::default();
-        }
-        let teams = u32::try_from(found.teams.len()).unwrap_or(u32::MAX);
-        // A file may say anything.
-        let requested = found.requested.min(MAX_TEAMS);
-        let lost = memory.lost_teams(&BTreeSet::new()).count();
-        let known = teams.saturating_add(u32::try_from(lost).unwrap_or(u32::MAX));
-        Self { seats: requested.saturating_sub(known), since: None }
-    }
-
-    /// So many, as a division of an earlier leader was kept with.
-    #[must_use]
-    pub fn kept(seats: u32) -> Self {
-        // A file may say anything.
-        Self { seats: seats.min(MAX_TEAMS), since: None }
-    }
-
-    /// Whether seats are kept, unless the time for that is over.
-    #[must_use]
-    pub fn are_any(&self) -> bool {
-        self.seats > 0
-    }
-
-    /// How many seats are kept. They are as long as a team is remembered, and until all seats are taken in the
-    /// last division.
-    pub fn count(&mut self, now: Tick, last: Option<&Teams>) -> u32 {
-        if self.seats == 0 {
-            return 0;
-        }
-        let is_full = |last: &Teams| last.teams.len() >= last.requested as usize;
-        let is_over = now.since(*self.since.get_or_insert(now)) >= TEAM_MEMORY_TIME;
-        if is_over || last.is_some_and(is_full) {
-            *self = Self::default();
-        }
-        self.seats
     }
 }
 

@@ -1,4 +1,4 @@
-//! Teams that robots had before the last division, as a clusterer keeps them over a restart.
+//! Teams that robots had before the last division. Whoever divides next, another instance or another process, gives them back.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,24 +21,24 @@ impl Content for RememberedTeams {
     /// All is ordered and stands once, and there is no more of it than of a fleet.
     fn check(&self) -> Result<(), ContentError> {
         if self.last.len() > MAX_ROBOTS {
-            return refuse("last", "has more robots than a fleet may have");
+            return refuse("remembered.last", "has more robots than a fleet may have");
         }
         if !self.last.is_sorted_by(|left, right| left.0 < right.0) {
-            return refuse("last", "must be ordered by name, each robot once");
+            return refuse("remembered.last", "must be ordered by name, each robot once");
         }
         if self.ended.len() > MAX_TEAMS as usize {
-            return refuse("ended", "has more teams than a fleet may have");
+            return refuse("remembered.ended", "has more teams than a fleet may have");
         }
         if !self.ended.is_sorted_by(|left, right| left.0 < right.0) {
-            return refuse("ended", "must be ordered by id, each team once");
+            return refuse("remembered.ended", "must be ordered by id, each team once");
         }
         let robots: usize = self.ended.iter().map(|(_, members)| members.len()).sum();
         if robots > MAX_ROBOTS {
-            return refuse("ended", "has more robots than a fleet may have");
+            return refuse("remembered.ended", "has more robots than a fleet may have");
         }
         let are_ordered = |members: &Vec<RobotId>| members.is_sorted_by(|left, right| left < right);
         if !self.ended.iter().all(|(_, members)| are_ordered(members)) {
-            return refuse("ended", "its robots must be ordered by name, each once");
+            return refuse("remembered.ended", "its robots must be ordered by name, each once");
         }
         Ok(())
     }
@@ -61,21 +61,21 @@ mod tests {
         let twice = vec![(robot("a"), one.clone()), (robot("a"), two.clone())];
         let many = vec![(robot("a"), one.clone()); MAX_ROBOTS + 1];
         for (bad, problem) in [
-            (RememberedTeams { last: twice, ..good.clone() }, "last: must be ordered"),
-            (RememberedTeams { last: many, ..good.clone() }, "last: has more"),
+            (RememberedTeams { last: twice, ..good.clone() }, "remembered.last: must be ordered"),
+            (RememberedTeams { last: many, ..good.clone() }, "remembered.last: has more"),
             (
                 RememberedTeams {
                     ended: vec![(two, vec![]), (one.clone(), vec![])],
                     ..good.clone()
                 },
-                "ended: must be ordered",
+                "remembered.ended: must be ordered",
             ),
             (
                 RememberedTeams {
                     ended: vec![(one, vec![robot("b"), robot("a")])],
                     ..good.clone()
                 },
-                "ended: its robots must be ordered",
+                "remembered.ended: its robots must be ordered",
             ),
             (
                 RememberedTeams {
@@ -84,14 +84,14 @@ mod tests {
                         .collect(),
                     ..good.clone()
                 },
-                "ended: has more teams",
+                "remembered.ended: has more teams",
             ),
             (
                 RememberedTeams {
                     ended: vec![(TeamId::numbered(1), vec![robot("a"); MAX_ROBOTS + 1])],
                     ..good
                 },
-                "ended: has more robots",
+                "remembered.ended: has more robots",
             ),
         ] {
             let error = bad.check().unwrap_err().to_string();

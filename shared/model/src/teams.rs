@@ -7,6 +7,7 @@ use crate::content::{Content, ContentError, refuse};
 use crate::header::{Header, Revision};
 use crate::id::{RobotId, SkillId, TeamId};
 use crate::limits::{MAX_CONFLICT_LENGTH, MAX_MEMBERS_PUBLISHED, MAX_NEEDED_SKILLS, MAX_TEAMS};
+use crate::remembered::RememberedTeams;
 
 /// One robot within its team.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -213,6 +214,8 @@ pub struct Teams {
     pub provisional: Vec<RobotId>,
     /// Robots that the newest vectors put into another team, for not long enough yet, ordered by name.
     pub held: Vec<HeldRobot>,
+    /// The teams that robots had before and that are away now, for a minute: all who divide next keep their places and ids.
+    pub remembered: RememberedTeams,
 }
 
 impl Teams {
@@ -345,6 +348,7 @@ impl Content for Teams {
         if !self.considered.iter().all(|number| number.score.is_finite()) {
             return refuse("considered", "a score is not finite");
         }
+        self.remembered.check()?;
         if self.inertia.is_finite() { Ok(()) } else { refuse("inertia", "must be finite") }
     }
 }

@@ -78,6 +78,7 @@ fn selected<'a>(
 mod tests {
     use muster_model::header::{Header, Revision};
     use muster_model::id::{FleetId, TeamId};
+    use muster_model::remembered::RememberedTeams;
     use muster_model::teams::{Member, Team};
 
     use super::*;
@@ -110,6 +111,7 @@ mod tests {
             needs: vec![],
             provisional: vec![],
             held: vec![],
+            remembered: RememberedTeams::default(),
         })
     }
 

@@ -98,7 +98,6 @@ pub(super) fn divide(
         division: None,
         divided_into: None,
         memory: &memory,
-        vacant: 0,
         arrivals: Arrivals::default(),
         embedding: &embedding,
     };

@@ -4,14 +4,10 @@
 //! off or was damaged is recognised, and is not used.
 //!
 //! Of the clusterer ([`KeptTeams`], [`MAGIC`], [`VERSION`]) the content is the end of the reserved numbers in eight bytes with the
-//! lowest first; how many places are kept for teams of which no more is known, in four, all ones where that is not known; then, each
-//! after its length in four, the wishes as they are on the bus, and what is remembered of earlier teams; and the division as it is on
-//! the bus. What there was not is empty. Version 4 does not have the places, version 3 not what is remembered either, and both are read
-//! as well. Of the embedder ([`KeptShape`], [`SHAPE_MAGIC`], [`SHAPE_VERSION`]) it is the number of teams and K, in four bytes each.
+//! lowest first; the wishes as they are on the bus, after their length in four; and the division as it is on the bus. What there
+//! was not is empty. Of the embedder ([`KeptShape`], [`SHAPE_MAGIC`], [`SHAPE_VERSION`]) it is the number of teams and K, in four bytes each.
 
-use muster_model::content::{Checked, Content};
-use muster_model::limits::MAX_ROBOTS;
-use muster_model::remembered::RememberedTeams;
+use muster_model::content::Checked;
 use muster_model::teams::Teams;
 use muster_model::wish::WishList;
 
@@ -22,16 +18,7 @@ use crate::recording::{framed, unframed};
 pub const MAGIC: [u8; 8] = *b"\xB7mustkpt";
 
 /// Version of its content. Any change of its types is a new version.
-pub const VERSION: u8 = 5;
-
-/// The version before, which is read as well.
-const WITHOUT_VACANT: u8 = 4;
-
-/// The one before that.
-const WITHOUT_REMEMBERED: u8 = 3;
-
-/// Stands for a number of places that is not known.
-const UNKNOWN: u32 = u32::MAX;
+pub const VERSION: u8 = 6;
 
 /// The first bytes of the file of the embedder.
 pub const SHAPE_MAGIC: [u8; 8] = *b"\xB7mustshp";
@@ -42,9 +29,8 @@ pub const SHAPE_VERSION: u8 = 1;
 /// Magic bytes and version.
 const HEAD: usize = MAGIC.len() + 1;
 
-/// Largest file in bytes: a division as large as a message may be, all robots of a fleet twice (as robots without a team, and in
-/// teams that ended) with ids of two times 64 characters, and what stands around that.
-pub const MAX_KEPT: usize = MAX_SERVICE_PAYLOAD + 2 * MAX_ROBOTS * 132 + (1 << 20);
+/// Largest file in bytes: a division as large as a message may be, and what stands around it.
+pub const MAX_KEPT: usize = MAX_SERVICE_PAYLOAD + (1 << 20);
 
 /// Why a file is not used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -73,12 +59,8 @@ fn file(magic: [u8; 8], version: u8, content: &[u8]) -> Result<Vec<u8>, Envelope
     Ok(bytes)
 }
 
-/// The version of a file, which must be one of `versions`, the newest first, and its content.
-fn content<'a>(
-    magic: [u8; 8],
-    versions: &[u8],
-    file: &'a [u8],
-) -> Result<(u8, &'a [u8]), KeptError> {
+/// The content of a file, which must have this version.
+fn content(magic: [u8; 8], read: u8, file: &[u8]) -> Result<&[u8], KeptError> {
     let (Some(head), Some(rest)) = (file.get(..HEAD), file.get(HEAD..)) else {
         return Err(KeptError::NotKept);
     };
@@ -86,11 +68,10 @@ fn content<'a>(
         Some((found, of)) if of == magic => *found,
         _ => return Err(KeptError::NotKept),
     };
-    if !versions.contains(&version) {
-        let read = versions.first().copied().unwrap_or_default();
+    if version != read {
         return Err(KeptError::Version { found: version, read });
     }
-    Ok((version, unframed(rest, MAX_KEPT).map_err(KeptError::Damaged)?))
+    unframed(rest, MAX_KEPT).map_err(KeptError::Damaged)
 }
 
 /// Bytes after their length, and the rest; none if they break off.
@@ -133,7 +114,7 @@ impl KeptShape {
     /// # Errors
     /// [`KeptError`] names what is wrong with them.
     pub fn decode(bytes: &[u8]) -> Result<Self, KeptError> {
-        let (_, content) = content(SHAPE_MAGIC, &[SHAPE_VERSION], bytes)?;
+        let content = content(SHAPE_MAGIC, SHAPE_VERSION, bytes)?;
         let &[a, b, c, d, e, f, g, h] = content else {
             return Err(KeptError::Damaged(format!("it has {} bytes and not 8", content.len())));
         };
@@ -147,12 +128,8 @@ impl KeptShape {
 pub struct KeptTeams {
     /// All numbers of teams below this one may have been given; they are never given again.
     pub reserved: u64,
-    /// How many places are kept for absent teams that are not among the remembered ones; none if it is not known.
-    pub vacant: Option<u32>,
     /// The last division, if there was one.
     pub teams: Option<Checked<Teams>>,
-    /// Teams that robots had before it.
-    pub remembered: RememberedTeams,
     /// The wishes of operators, if there were any.
     pub wishes: Option<Checked<WishList>>,
 }
@@ -164,13 +141,9 @@ impl KeptTeams {
     /// [`EnvelopeError`] if the division is larger than [`MAX_KEPT`] bytes.
     pub fn encode(&self) -> Result<Vec<u8>, EnvelopeError> {
         let mut content = self.reserved.to_le_bytes().to_vec();
-        content.extend(self.vacant.unwrap_or(UNKNOWN).to_le_bytes());
         let wishes =
             self.wishes.as_ref().map_or(Ok(Vec::new()), |list| envelope::encode(&**list))?;
         append(&mut content, &wishes)?;
-        let is_nothing = self.remembered == RememberedTeams::default();
-        let remembered = if is_nothing { Vec::new() } else { envelope::pack(&self.remembered)? };
-        append(&mut content, &remembered)?;
         if let Some(teams) = &self.teams {
             content.extend(envelope::encode(&**teams)?);
         }
@@ -183,32 +156,15 @@ impl KeptTeams {
     /// [`KeptError`] names what is wrong with them.
     pub fn decode(bytes: &[u8]) -> Result<Self, KeptError> {
         let damaged = |problem: &dyn std::fmt::Display| KeptError::Damaged(problem.to_string());
-        let versions = [VERSION, WITHOUT_VACANT, WITHOUT_REMEMBERED];
-        let (version, content) = content(MAGIC, &versions, bytes)?;
+        let content = content(MAGIC, VERSION, bytes)?;
         let broken = || damaged(&"it breaks off");
         let (reserved, rest) = content.split_first_chunk().ok_or_else(broken)?;
         let reserved = u64::from_le_bytes(*reserved);
-        let (vacant, rest) = match version {
-            VERSION => rest.split_first_chunk().ok_or_else(broken)?,
-            _ => (&UNKNOWN.to_le_bytes(), rest),
-        };
-        let vacant = Some(u32::from_le_bytes(*vacant)).filter(|vacant| *vacant != UNKNOWN);
-        let (wishes, rest) = part(rest).ok_or_else(broken)?;
-        let (remembered, division) = match version {
-            WITHOUT_REMEMBERED => (&[][..], rest),
-            _ => part(rest).ok_or_else(broken)?,
-        };
-        let remembered_nothing = RememberedTeams::default();
-        let mut kept =
-            Self { reserved, vacant, teams: None, remembered: remembered_nothing, wishes: None };
+        let (wishes, division) = part(rest).ok_or_else(broken)?;
+        let mut kept = Self { reserved, teams: None, wishes: None };
         if !wishes.is_empty() {
             let list: WishList = envelope::decode(wishes).map_err(|error| damaged(&error))?;
             kept.wishes = Some(Checked::new(list).map_err(|error| damaged(&error))?);
-        }
-        if !remembered.is_empty() {
-            kept.remembered =
-                envelope::unpack_bounded(remembered).map_err(|error| damaged(&error))?;
-            kept.remembered.check().map_err(|error| damaged(&error))?;
         }
         if !division.is_empty() {
             let teams: Teams = envelope::decode(division).map_err(|error| damaged(&error))?;
@@ -222,6 +178,7 @@ impl KeptTeams {
 mod tests {
     use muster_model::header::{Header, Revision};
     use muster_model::id::{FleetId, OperatorId, RobotId, TeamId, WishId};
+    use muster_model::remembered::RememberedTeams;
     use muster_model::teams::{Member, Team};
     use muster_model::wish::{StandingWish, Wish, WishKind, WishState};
 
@@ -258,6 +215,11 @@ mod tests {
             needs: vec![],
             provisional: vec![],
             held: vec![],
+            remembered: RememberedTeams {
+                last: vec![(RobotId::new("r2").unwrap(), TeamId::numbered(6))],
+                ended: vec![(TeamId::numbered(6), vec![RobotId::new("r2").unwrap()])],
+                newcomers_from: 5,
+            },
         };
         let wish = Wish {
             kind: WishKind::Reserve,
@@ -276,13 +238,7 @@ mod tests {
         let wishes = WishList { header: teams.header.clone(), wishes: vec![wish] };
         KeptTeams {
             reserved: 108,
-            vacant: Some(2),
             teams: Some(Checked::new(teams).unwrap()),
-            remembered: RememberedTeams {
-                last: vec![(RobotId::new("r2").unwrap(), TeamId::numbered(6))],
-                ended: vec![(TeamId::numbered(6), vec![RobotId::new("r2").unwrap()])],
-                newcomers_from: 5,
-            },
             wishes: Some(Checked::new(wishes).unwrap()),
         }
     }
@@ -290,39 +246,18 @@ mod tests {
     #[test]
     fn what_is_kept_is_read_back() {
         let alone = KeptTeams { teams: None, ..kept() };
-        let nothing = RememberedTeams::default();
-        let numbers = KeptTeams {
-            reserved: 5,
-            vacant: None,
-            teams: None,
-            remembered: nothing.clone(),
-            wishes: None,
-        };
-        for kept in [kept(), alone, KeptTeams { remembered: nothing, ..kept() }, numbers] {
+        let numbers = KeptTeams { reserved: 5, teams: None, wishes: None };
+        for kept in [kept(), alone, numbers] {
             assert_eq!(KeptTeams::decode(&kept.encode().unwrap()), Ok(kept));
         }
     }
 
     #[test]
     fn the_bytes_are_those_of_the_version() {
-        let remembered = RememberedTeams::default();
-        let kept = KeptTeams { reserved: 300, vacant: None, teams: None, remembered, wishes: None };
+        let kept = KeptTeams { reserved: 300, teams: None, wishes: None };
         let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
         let bytes = kept.encode().unwrap();
-        assert_eq!(
-            hex(&bytes),
-            "b76d7573746b70740514000000c31ed0f52c01000000000000ffffffff0000000000000000"
-        );
-        for before in [
-            "b76d7573746b70740410000000a4c28ad82c010000000000000000000000000000",
-            "b76d7573746b7074030c00000076061c5d2c0100000000000000000000",
-        ] {
-            let before: Vec<u8> = (0..before.len())
-                .step_by(2)
-                .map(|at| u8::from_str_radix(&before[at..at + 2], 16).unwrap())
-                .collect();
-            assert_eq!(KeptTeams::decode(&before), Ok(kept.clone()), "a version before is read");
-        }
+        assert_eq!(hex(&bytes), "b76d7573746b7074060c00000076061c5d2c0100000000000000000000");
     }
 
     #[test]

@@ -14,6 +14,7 @@ use muster_model::id::{
     CommandId, FleetId, Modality, OperatorId, RobotId, ServiceName, SkillId, TeamId,
 };
 use muster_model::observation::{Link, Links, Pose, Rank, Relation, Report};
+use muster_model::remembered::RememberedTeams;
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::teams::{Limited, Member, Team, TeamCountScore, TeamNeed, Teams};
 use muster_model::time::Tick;
@@ -389,6 +390,15 @@ impl Author {
             }),
             provisional: draw.robots(),
             held: Vec::new(),
+            remembered: RememberedTeams {
+                last: draw
+                    .robots()
+                    .into_iter()
+                    .map(|robot| (robot, TeamId::numbered(draw.number64())))
+                    .collect(),
+                ended: draw.some(2, |draw| (TeamId::numbered(draw.number64()), draw.robots())),
+                newcomers_from: draw.number64(),
+            },
         }
     }
 

@@ -272,21 +272,14 @@ fn golden() -> Vec<Seed> {
         add("packet", name, [head.as_bytes(), &bytes].concat());
         if name == "teams" {
             let (numbers, nothing) = (300_u64.to_le_bytes(), 0_u32.to_le_bytes());
-            let (vacant, unknown) = (2_u32.to_le_bytes(), u32::MAX.to_le_bytes());
-            let head = [&numbers[..], &unknown, &nothing, &nothing].concat();
+            let head = [&numbers[..], &nothing].concat();
             add("kept", "division", [&head[..], &bytes].concat());
             add("kept", "numbers", head);
-            // A robot whose team has ended with it.
-            let remembered = b"\x01\x02r2\x02t6\x01\x02t6\x01\x02r2\x05";
-            let length = u32::try_from(remembered.len()).unwrap().to_le_bytes();
-            let head = [&numbers[..], &vacant, &nothing, &length, remembered].concat();
-            add("kept", "remembered", [&head[..], &bytes].concat());
         }
         if name == "wishes" {
             let length = u32::try_from(bytes.len()).unwrap();
-            let (numbers, nothing) = (300_u64.to_le_bytes(), 0_u32.to_le_bytes());
-            let head = [&numbers[..], &nothing, &length.to_le_bytes()].concat();
-            add("kept", "wishes", [&head[..], &bytes, &nothing].concat());
+            let head = [300_u64.to_le_bytes().as_slice(), &length.to_le_bytes()].concat();
+            add("kept", "wishes", [&head[..], &bytes].concat());
         }
         if name == "robot_team" {
             add("robot_team", name, [head.as_bytes(), &bytes].concat());

@@ -417,6 +417,7 @@ impl State {
 mod tests {
     use muster_model::content::Checked;
     use muster_model::header::StageTime;
+    use muster_model::remembered::RememberedTeams;
     use muster_model::teams::{Member, Team};
     use muster_wire::packet::JSON;
 
@@ -457,6 +458,7 @@ mod tests {
             needs: vec![],
             provisional: vec![],
             held: vec![],
+            remembered: RememberedTeams::default(),
         }
     }
 

@@ -25,6 +25,7 @@ use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::EventKind;
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName, TeamId};
+use muster_model::remembered::RememberedTeams;
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::AuditorSettings;
 use muster_model::teams::{Member, Team, Teams};
@@ -219,6 +220,7 @@ fn teams(epoch: u64, of: u64, teams: &[(&str, &str)], unassigned: &str) -> Messa
         needs: vec![],
         provisional: vec![],
         held: vec![],
+        remembered: RememberedTeams::default(),
     };
     Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use muster_division::identity::is_believable;
-use muster_division::seats::Vacancies;
+use muster_division::memory::Memory;
 use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::content::Checked;
@@ -44,7 +44,7 @@ impl Clusterer {
     /// A division that was published. A standby keeps it, a leader gives none of its numbers.
     fn accept_teams(&mut self, context: &Context<'_>, teams: &Checked<Teams>) {
         if !context.has_term() {
-            self.keeping.hear(context.now(), teams);
+            self.keeping.hear(teams);
         } else if is_believable(teams) && teams.next_team > self.memory.next_team {
             Arc::make_mut(&mut self.memory).next_team = teams.next_team;
         }
@@ -172,8 +172,8 @@ impl Clusterer {
         self.received_by_others = self.division.clone();
     }
 
-    /// Takes over the division on disk, if no service holds one that is as new, the teams that robots had before it, and what a
-    /// division alone says: which seats it keeps, which robots there were, and which moves wait.
+    /// Takes over the division on disk, if no service holds one that is as new, and what a division says beside: the teams that
+    /// robots had before it, which robots there were, and which moves wait.
     fn inherit_kept(&mut self, now: Tick) {
         let last = self.division.as_ref().map(|division| division.header.revision);
         if let Some(kept) = self.keeping.division()
@@ -182,12 +182,8 @@ impl Clusterer {
             self.division = Some(kept.clone());
         }
         if let Some(division) = &self.division {
-            self.memory = self.keeping.memory_at(now, division);
-            self.vacancies = match self.keeping.vacant() {
-                Some(seats) => Vacancies::kept(seats),
-                None => Vacancies::of(division, &self.memory),
-            };
-            if self.memory.robots().next().is_some() || self.vacancies.are_any() {
+            self.memory = Arc::new(Memory::of(&division.remembered, now));
+            if self.memory.robots().next().is_some() {
                 self.moves = MoveDwell::resumed(now, &division.held);
                 // How long ago they left is not known: others may follow.
                 self.arrivals.note_loss(now);

@@ -34,14 +34,11 @@ impl Clusterer {
         rules: Option<&TeamRules>,
         embedding: &Embedding,
     ) -> Number {
-        let last = self.division.as_deref().filter(|division| !division.teams.is_empty());
-        let vacant = self.vacancies.count(now, last);
         let mut situation = Situation {
             now,
             division: self.division.as_deref(),
             divided_into: self.divided_into(),
             memory: &self.memory,
-            vacant,
             arrivals: self.arrivals.clone(),
             embedding,
         };
@@ -98,14 +95,11 @@ impl Clusterer {
         last: Option<&TeamRules>,
     ) -> Option<String> {
         let embedding = &*self.newest.as_ref()?.embedding;
-        let division = self.division.as_deref().filter(|division| !division.teams.is_empty());
         let situation = Situation {
             now,
             division: self.division.as_deref(),
             divided_into: self.divided_into(),
             memory: &self.memory,
-            // What is asked of seats must not change them.
-            vacant: self.vacancies.clone().count(now, division),
             arrivals: self.arrivals.clone(),
             embedding,
         };

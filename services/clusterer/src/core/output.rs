@@ -39,7 +39,6 @@ impl Clusterer {
     ) {
         let now = context.now();
         let before = self.division.clone();
-        let vacant = self.vacancies.count(now, Some(&new));
         let renewed = self.orders.renewed(now, self.roster.as_deref());
         let seated = before.as_deref().and_then(|before| reseated(before, &new));
         let seated = seated.as_ref().or(before.as_deref());
@@ -53,7 +52,7 @@ impl Clusterer {
         // Limits and wishes count at once.
         let losses = match rules {
             Some(_) => Losses::default(),
-            None => self.losses(vacant, &source.embedding),
+            None => self.losses(&source.embedding),
         };
         let mut held = self.moves.hold(now, dwell, &new, seated, &renewed, losses);
         if let Some(rules) = &rules
@@ -89,9 +88,9 @@ impl Clusterer {
     }
 
     /// What has become of the robots of the last division, by the robots that are embedded now.
-    fn losses(&self, vacant: u32, embedding: &Embedding) -> Losses {
+    fn losses(&self, embedding: &Embedding) -> Losses {
         let before = self.division.as_deref();
-        let seats = Seats::of(before, &self.memory, vacant, &BTreeSet::new(), embedding);
+        let seats = Seats::of(before, &self.memory, &BTreeSet::new(), embedding);
         Losses {
             show_until: self.arrivals.losses_show_until(),
             is_team_absent: seats.absent > 0,
@@ -132,6 +131,7 @@ impl Clusterer {
         let needs = self.needs(context.settings());
         teams.needs = needs.published(&teams);
         teams.embedding = source.embedding.header.revision;
+        teams.remembered = self.memory.remembered();
         // After a restart only the division says which numbers were given.
         teams.next_team = teams.next_team.max(self.memory.next_team);
         teams.header = source.embedding.header.next_stage(revision, stage);
@@ -153,17 +153,16 @@ impl Clusterer {
         }
         let changed: BTreeSet<&RobotId> = changed.into_iter().collect();
         let mirrored = if mirror { now } else { mirrored.unwrap_or(now) };
-        let vacant = self.vacancies.count(now, Some(&teams));
         let rules = self.rules(context.settings());
         let reserved = rules.as_ref().map(TeamRules::reserved).unwrap_or_default();
         let embedding = &source.embedding;
-        let absent = Seats::of(Some(&teams), &self.memory, vacant, &reserved, embedding).absent;
+        let absent = Seats::of(Some(&teams), &self.memory, &reserved, embedding).absent;
         self.divided = Some(source.embedding.clone());
         self.published = Some(Published { source, at: now, mirrored });
         self.division = Some(teams.clone());
         self.inform_in_rotation(context, &changed);
         if context.is_leading() {
-            self.keeping.note(&teams, &self.memory, vacant);
+            self.keeping.note(&teams);
             self.report_changes(context, &teams, absent);
             let before = self.received_by_others.as_deref();
             let filled = filled(before, &teams, &needs, self.roster.as_deref());

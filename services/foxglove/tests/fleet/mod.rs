@@ -5,6 +5,7 @@ use std::sync::Arc;
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, Modality, RobotId, TeamId};
+use muster_model::remembered::RememberedTeams;
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::teams::{Member, Team, Teams};
 use muster_model::time::Tick;
@@ -85,6 +86,7 @@ pub(crate) fn teams(robots: u32, count: u32) -> Arc<Teams> {
         needs: Vec::new(),
         provisional: Vec::new(),
         held: Vec::new(),
+        remembered: RememberedTeams::default(),
     })
 }
 

@@ -102,6 +102,7 @@ fn describe(change: &TeamChange) -> String {
 mod tests {
     use muster_model::header::{Header, Revision};
     use muster_model::id::{FleetId, RobotId};
+    use muster_model::remembered::RememberedTeams;
     use muster_model::teams::{Member, Team};
 
     use super::super::page::tests::{WIDTHS, assert_fits, page};
@@ -136,6 +137,7 @@ mod tests {
             needs: vec![],
             provisional: vec![],
             held: vec![],
+            remembered: RememberedTeams::default(),
             inertia: 0.0,
             unassigned: vec![robot("loose".to_owned())],
             stale: vec![],

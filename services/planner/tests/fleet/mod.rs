@@ -278,7 +278,6 @@ impl Fleet {
             division: previous.as_deref(),
             divided_into: None,
             memory: &memory,
-            vacant: 0,
             arrivals: Arrivals::default(),
             embedding: &embedding,
         };

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use muster_model::audit::{Audit, Flapping, Quality, SilhouetteReport, Space};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, TeamId};
+use muster_model::remembered::RememberedTeams;
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::team_audit::{Radio, TeamAudit};
 use muster_model::teams::{Member, Team, Teams};
@@ -53,6 +54,7 @@ fn teams(epoch: u64, silent: &[&str]) -> Arc<Teams> {
         needs: Vec::new(),
         provisional: Vec::new(),
         held: Vec::new(),
+        remembered: RememberedTeams::default(),
     })
 }
 

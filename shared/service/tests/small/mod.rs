@@ -12,6 +12,7 @@ use muster_model::header::{Header, Revision};
 use muster_model::history::{Page, Query, Record, RecordingReport, Retention, Subject};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::{CheckedReport, Pose, Report};
+use muster_model::remembered::RememberedTeams;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::settings::{ClustererSettings, TeamCount};
 use muster_model::teams::Teams;
@@ -262,6 +263,7 @@ pub(crate) fn output(header: Header) -> Message {
         needs: vec![],
         provisional: vec![],
         held: vec![],
+        remembered: RememberedTeams::default(),
     };
     Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }
 }

@@ -29,6 +29,7 @@ use muster_model::proposal::{
     ProposedDivision, ProposedMove, ProposedTeam,
 };
 use muster_model::refused::Refused;
+use muster_model::remembered::RememberedTeams;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::status::{Departure, ServiceStatus};
@@ -226,6 +227,11 @@ pub(crate) fn all() -> Vec<(&'static str, Message)> {
         }],
         provisional: vec![robot("r1")],
         held: vec![HeldRobot { robot: robot("r1"), team: team("t1") }],
+        remembered: RememberedTeams {
+            last: vec![(robot("r9"), team("t9"))],
+            ended: vec![(team("t9"), vec![robot("r9")])],
+            newcomers_from: 4,
+        },
     };
     let robot_team = teams.robot_team(&robot("r1")).unwrap();
     let report = |space, mean| SilhouetteReport {
