@@ -138,6 +138,8 @@ pub struct Clusterer {
     count: CountDwell,
     /// Robots that came lately.
     arrivals: Arrivals,
+    /// Since when no more robots of a team are waited for; none while some are.
+    settled_since: Option<Tick>,
     /// The robots that are kept in their team for now.
     moves: MoveDwell,
     /// The robots that have another superior than before.
@@ -235,11 +237,15 @@ impl Clusterer {
     /// Whether all robots stay in their last team: while the robots of a team leave or return one after the other, and, where
     /// another number of teams is about to count by then, until it does or a moment has passed. So they are divided again once, not
     /// twice.
-    fn keeps_robots(&self, now: Tick) -> bool {
+    fn keeps_robots(&mut self, now: Tick) -> bool {
+        if self.arrivals.is_unsettled(now) {
+            self.settled_since = None;
+            return true;
+        }
+        // Without a link it divides nothing, and the moment begins when it does again.
+        let settled = *self.settled_since.get_or_insert(now);
         let kept = self.flight.completed().is_some_and(|last| last.staying == Staying::All);
-        let mut settled = self.arrivals.settled_at();
-        let is_just_settled = settled.any(|at| now < at.after(2 * TEAM_COUNT_DWELL));
-        self.arrivals.is_unsettled(now) || kept && is_just_settled && self.count.due().is_some()
+        kept && now < settled.after(2 * TEAM_COUNT_DWELL) && self.count.due().is_some()
     }
 
     /// Whether teams are kept as while a whole team is absent: where another number of teams is about to count after that, until

@@ -358,6 +358,30 @@ fn the_others_are_divided_again_once_when_a_seat_is_given_up() {
     }
 }
 
+/// A robot leaves, the link is lost a moment later, and more teams are shown once it is back.
+#[test]
+fn the_others_are_divided_again_once_when_the_link_was_lost_meanwhile() {
+    for offline_s in [0.5, 2.0, 10.0, 40.0] {
+        let (mut bench, _) = divided(settings(TeamCount::Auto), &camps(1, ALL, &THREE));
+        let mut left = Embedding::clone(&camps(2, "a b c m n o p w x y z", &[0.1, 0.1, 0.2, 0.6]));
+        let last = (left.robots.len() - 1) * left.dimension as usize;
+        left.values[last..last + 2].fill(60.0);
+        bench.receive_embedding(&Checked::new_unchecked(left));
+        bench.wait(0.2);
+        bench.input(Input::LinkLost);
+        bench.wait(offline_s);
+        bench.take();
+        let mut found = vec!["t1: a b c | t2: m n o p | t3: w x y z".to_owned()];
+        bench.input(Input::LinkRestored);
+        for _ in 0..100 {
+            bench.wait(0.1);
+            found.extend(bench.take().teams.iter().map(|(teams, _)| short(teams)));
+            found.dedup();
+        }
+        assert_eq!(found.len(), 2, "after {offline_s} s: {found:?}");
+    }
+}
+
 #[test]
 fn robots_that_no_team_knows_get_a_free_seat_if_the_evidence_is_for_it() {
     let (relief, one) = ("a b c d m n o p q r s", "a b c d e m n o p");
