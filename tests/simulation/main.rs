@@ -126,7 +126,7 @@ fn every_promise_holds_for_three_hundred_seeds() {
 const ALLOWED_FAILURES: usize = 1;
 
 /// Seeds that broke a promise once, and what it was.
-const ONCE_BROKEN: [(u64, &str); 131] = [
+const ONCE_BROKEN: [(u64, &str); 133] = [
     (
         2_026_220_020_809,
         "a new leader said that a wish is granted, and went on from a forged division that did not grant it",
@@ -521,6 +521,14 @@ const ONCE_BROKEN: [(u64, &str); 131] = [
     (
         2_026_260_002_672,
         "robots that had stayed as one left were divided twice once a lost link was back",
+    ),
+    (
+        2_026_260_007_526,
+        "the judge cut the power while a robot was about to move, and wanted it where it had been",
+    ),
+    (
+        2_026_260_008_307,
+        "the judge took a change for the later one that was sent by a clock of another century",
     ),
 ];
 

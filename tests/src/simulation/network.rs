@@ -415,6 +415,7 @@ impl World {
         let Some((key, payload)) = command_of(now, &key, &format!("c{number}"), payload) else {
             return;
         };
+        self.operator.sends(service, now);
         let selector = format!("muster/v1/{}/{key}", self.space.fleet());
         let asked = BusGet { selector, parameters: "", payload: Some(payload.into_bytes()) };
         let asker = Asker::Operator(service, self.operator.losses(service));

@@ -768,8 +768,9 @@ impl World {
     /// Loses the next thing that is to be lost, once nothing is about to change by itself, and what all have agreed on is on
     /// the disks.
     fn lose_if_settled(&mut self, since: Micros) {
-        let is_settled =
-            |(at, _): &mut (Micros, Agreed)| since >= ORDERS_TIME.max(*at + AGREED_ORDERS_TIME);
+        let is_settled = |(at, agreed): &mut (Micros, Agreed)| {
+            since >= ORDERS_TIME.max(*at + AGREED_ORDERS_TIME) && !agreed.has_moves_under_way()
+        };
         if self.outages.are_over() {
             return;
         }

@@ -73,6 +73,12 @@ impl Agreed {
         self.division.as_ref().is_some_and(|teams| !teams.held.is_empty())
     }
 
+    /// Whether robots are about to move: other teams are shown for them, and none is away that they could wait for.
+    pub(crate) fn has_moves_under_way(&self) -> bool {
+        let is_none_away = |teams: &Checked<Teams>| teams.remembered.last.is_empty();
+        self.holds_moves() && self.division.as_ref().is_some_and(is_none_away)
+    }
+
     /// Whether another division differs only in moves that this one says are held back.
     fn announces(&self, now: &Teams) -> bool {
         let Some(before) = &self.division else { return false };
