@@ -45,7 +45,10 @@ pub const MAX_KEPT_NUMBER: u64 = 2 * MAX_BELIEVED_NUMBER;
 
 /// Whether the numbers of a division of another instance leave some to be given.
 pub fn is_believable(teams: &Teams) -> bool {
-    let mut numbers = teams.teams.iter().filter_map(|team| number(&team.id));
+    let living = teams.teams.iter().map(|team| &team.id);
+    let last = teams.remembered.last.iter().map(|(_, team)| team);
+    let ended = teams.remembered.ended.iter().map(|(team, _)| team);
+    let mut numbers = living.chain(last).chain(ended).filter_map(number);
     teams.next_team <= MAX_BELIEVED_NUMBER && numbers.all(|number| number < MAX_BELIEVED_NUMBER)
 }
 

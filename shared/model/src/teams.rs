@@ -214,7 +214,8 @@ pub struct Teams {
     pub provisional: Vec<RobotId>,
     /// Robots that the newest vectors put into another team, for not long enough yet, ordered by name.
     pub held: Vec<HeldRobot>,
-    /// The teams that robots had before and that are away now, for a minute: all who divide next keep their places and ids.
+    /// The last teams of robots that are in none now, and teams that ended, each for a minute or, where the leader changes
+    /// meanwhile, for a minute from then on. Whoever divides next keeps their places and ids by it.
     pub remembered: RememberedTeams,
 }
 

@@ -131,6 +131,9 @@ impl Clusterer {
         let needs = self.needs(context.settings());
         teams.needs = needs.published(&teams);
         teams.embedding = source.embedding.header.revision;
+        if self.memory.is_overdue(now) {
+            Arc::make_mut(&mut self.memory).forget(now);
+        }
         teams.remembered = self.memory.remembered();
         // After a restart only the division says which numbers were given.
         teams.next_team = teams.next_team.max(self.memory.next_team);
