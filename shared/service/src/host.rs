@@ -112,9 +112,8 @@ impl<C: Core> Host<C> {
         if state != std::mem::replace(&mut self.announced_state, state) {
             self.facilities.commands.push(Command::ReplicaState(state));
         }
-        let is_leading = self.facilities.replica.election.is_leading();
         let mut commands = std::mem::take(&mut self.facilities.commands);
-        self.facilities.unstored_term.pass(now, is_leading, &mut commands);
+        self.facilities.unstored_term.pass(now, state, &mut commands);
         commands
     }
 
@@ -141,7 +140,7 @@ impl<C: Core> Host<C> {
         let election = self.facilities.replica.election.deadline();
         let fetches = self.facilities.fetches.deadline();
         let store = self.facilities.store_again_at;
-        let unstored = self.facilities.unstored_term.deadline();
+        let unstored = self.facilities.unstored_term.deadline(self.replica_state());
         let due = [core, election, fetches, store, unstored].into_iter().flatten().min()?;
         Some(due.max(self.timer_not_before))
     }

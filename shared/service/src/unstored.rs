@@ -5,6 +5,7 @@
 
 use std::time::Duration;
 
+use muster_model::role::ReplicaState;
 use muster_model::time::Tick;
 
 use crate::io::{Command, Publication};
@@ -44,19 +45,23 @@ impl UnstoredTerm {
         }
     }
 
-    /// When publications wait no longer.
-    pub(crate) fn deadline(&self) -> Option<Tick> {
-        self.write.as_ref().map(|write| write.until)
+    /// When publications wait no longer for the disk. Those of a suspect wait until it leads again.
+    pub(crate) fn deadline(&self, state: ReplicaState) -> Option<Tick> {
+        let write = self.write.as_ref().filter(|_| state != ReplicaState::Suspect);
+        write.map(|write| write.until)
     }
 
     /// Takes publications out of `commands` while the term is being written, and gives back those that have waited once
-    /// it is. An instance that leads no more has nothing to say.
-    pub(crate) fn pass(&mut self, now: Tick, is_leading: bool, commands: &mut Vec<Command>) {
+    /// it is. Those of a suspect wait on: once it leads again, what it publishes follows them, as a delta follows the
+    /// graph before. An instance that has no term has nothing to say.
+    pub(crate) fn pass(&mut self, now: Tick, state: ReplicaState, commands: &mut Vec<Command>) {
         let Some(write) = &self.write else { return };
+        let has_term = matches!(state, ReplicaState::Leading | ReplicaState::Suspect);
+        let is_written = write.stores == 0 || now >= write.until;
         let is_full = self.waiting.len() >= MAX_WAITING;
-        if write.stores == 0 || now >= write.until || is_full || !is_leading {
+        if (is_written && state != ReplicaState::Suspect) || is_full || !has_term {
             self.write = None;
-            let waited = self.waiting.drain(..).filter(|_| is_leading).map(Command::Publish);
+            let waited = self.waiting.drain(..).filter(|_| has_term).map(Command::Publish);
             let after = std::mem::take(commands);
             commands.extend(waited.chain(after));
             return;

@@ -256,3 +256,37 @@ fn a_disk_that_hangs_holds_a_term_up_for_a_second() {
     bench.input(Input::Timer);
     assert!(!bench.published.is_empty(), "and nothing waits after that");
 }
+
+/// Others count on what it publishes next having come after that: a delta of a graph follows the graph.
+#[test]
+fn what_waits_for_the_disk_when_the_link_is_lost_is_published_once_the_instance_leads_again() {
+    for is_written in [true, false] {
+        let mut bench = unstored();
+        bench.input(Input::LinkLost);
+        assert_eq!(bench.host.replica_state(), ReplicaState::Suspect);
+        if is_written {
+            bench.input(Input::Stored { error: None });
+        }
+        bench.wait(5.0);
+        assert!(bench.published.is_empty(), "{:?}", bench.published);
+        bench.input(Input::LinkRestored);
+        bench.wait(5.0);
+        assert_eq!((bench.status().standing, term(&bench)), (ReplicaState::Leading, 8));
+        let started = EventKind::ServiceStarted { term: 8 };
+        let is_start =
+            |message: &Message| matches!(message, Message::Event(event) if event.kind == started);
+        assert!(bench.published.first().is_some_and(is_start), "in order: {:?}", bench.published);
+    }
+}
+
+#[test]
+fn what_waits_for_the_disk_is_not_published_by_an_instance_that_stands_down() {
+    let mut bench = unstored();
+    bench.hold_leader_queries = true;
+    bench.receive(token("a", true));
+    bench.receive(renewal("a", 9, 1));
+    assert_eq!(bench.host.replica_state(), ReplicaState::Starting);
+    bench.input(Input::Stored { error: None });
+    bench.wait(0.5);
+    assert!(bench.published.is_empty(), "{:?}", bench.published);
+}
