@@ -1,11 +1,12 @@
 //! What a service keeps over a restart in addition to its settings, as bytes of a file.
 //!
-//! A file is eight magic bytes, the version of the content, and one frame: length, checksum, and the content. A file that breaks
-//! off or was damaged is recognised, and is not used.
+//! A file is eight magic bytes, the version of the content, and one frame: length, checksum, and the content. A file
+//! that breaks off or was damaged is recognised, and is not used.
 //!
-//! Of the clusterer ([`KeptTeams`], [`MAGIC`], [`VERSION`]) the content is the end of the reserved numbers in eight bytes with the
-//! lowest first; the wishes as they are on the bus, after their length in four; and the division as it is on the bus. What there
-//! was not is empty. Of the embedder ([`KeptShape`], [`SHAPE_MAGIC`], [`SHAPE_VERSION`]) it is the number of teams and K, in four bytes each.
+//! Of the clusterer ([`KeptTeams`], [`MAGIC`], [`VERSION`]) the content is the end of the reserved numbers in eight
+//! bytes with the lowest first; the wishes as they are on the bus, after their length in four; and the division as it
+//! is on the bus. What there was not is empty. Of the embedder ([`KeptShape`], [`SHAPE_MAGIC`], [`SHAPE_VERSION`]) it
+//! is the number of teams and K, in four bytes each.
 
 use muster_model::content::Checked;
 use muster_model::teams::Teams;

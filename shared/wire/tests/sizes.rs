@@ -5,9 +5,10 @@ use std::sync::Arc;
 
 use muster_model::content::Checked;
 use muster_model::graph::{GraphDelta, GraphRow};
-use muster_model::id::{Modality, RobotId};
+use muster_model::id::{Modality, RobotId, TeamId};
 use muster_model::limits::{MAX_GRAPH_EDGES, MAX_ID_LENGTH, MAX_ROBOTS};
 use muster_model::settings::MAX_DIMENSION;
+use muster_model::teams::{Member, TeamChange, Teams};
 use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use muster_wire::{Format, Message};
 
@@ -56,4 +57,35 @@ fn an_embedding_of_thirty_thousand_robots_fits_a_message() {
     embedding.graphs = Vec::new();
     embedding.quality.singular_values = Vec::new();
     fits(&Message::Embedding(Checked::new_unchecked(embedding)));
+}
+
+/// Each robot is in a team, is stale and has just moved, and as many have left. One that has moved waits for no
+/// move.
+#[test]
+fn the_largest_division_fits_a_message() {
+    let sample = samples::all().into_iter().find_map(|(_, message)| match message {
+        Message::Teams { teams, .. } => Some(teams),
+        _ => None,
+    });
+    let mut teams = Teams::clone(&sample.unwrap());
+    let robots = robots(MAX_ROBOTS);
+    let team = || TeamId::new("t".repeat(MAX_ID_LENGTH)).unwrap();
+    let with_team = || robots.iter().map(|robot| (robot.clone(), team()));
+    teams.teams.truncate(1);
+    let member = |robot: &RobotId| Member { robot: robot.clone(), margin: 0.5 };
+    teams.teams[0].members = robots.iter().map(member).collect();
+    teams.unassigned = Vec::new();
+    teams.stale.clone_from(&robots);
+    teams.provisional.clone_from(&robots);
+    let moved = |(robot, to)| TeamChange::Moved { robot, from: Some(team()), to: Some(to) };
+    teams.changes = with_team().map(moved).collect();
+    teams.held = Vec::new();
+    teams.remembered.last = with_team().collect();
+    teams.remembered.ended = vec![(team(), robots.clone())];
+    // What there is once does not grow with the fleet.
+    teams.considered = Vec::new();
+    teams.limited = None;
+    teams.needs = Vec::new();
+    teams.teams[0].centroid = Vec::new();
+    fits(&Message::Teams { teams: Checked::new_unchecked(teams), mirror: false });
 }

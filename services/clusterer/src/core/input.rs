@@ -172,8 +172,8 @@ impl Clusterer {
         self.received_by_others = self.division.clone();
     }
 
-    /// Takes over the division on disk, if no service holds one that is as new, and what a division says beside: the teams that
-    /// robots had before it, which robots there were, and which moves wait.
+    /// Takes over the division on disk, if no service holds one that is as new, and what a division says besides its
+    /// teams: those that robots had before it, which robots there were, and which moves wait.
     fn inherit_kept(&mut self, now: Tick) {
         let last = self.division.as_ref().map(|division| division.header.revision);
         if let Some(kept) = self.keeping.division()

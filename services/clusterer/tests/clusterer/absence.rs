@@ -85,18 +85,31 @@ fn a_team_that_is_cut_off_moves_nobody_else_and_comes_back_as_what_it_was() {
     }
 }
 
+/// Who leads next after the one that divided.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Next {
+    /// Its own process, started again.
+    Restarted,
+    /// A standby that has received its divisions.
+    Standby,
+    /// A standby whose link was lost while the robots left: it has received the last division alone.
+    StandbyOfTheLast,
+}
+
 /// Neither a restart of everything nor a standby that takes over forgets a team that is absent.
 #[test]
 fn a_team_that_is_absent_keeps_its_seat_and_its_id_with_the_next_leader() {
     let again = |embedding: &Checked<Embedding>, epoch| again(embedding, 2, epoch);
     let range = TeamCount::Between { from: 2, to: 5 };
     for wanted in [TeamCount::Fixed(3), TeamCount::Auto, range] {
-        for is_restart in [true, false] {
+        for who in [Next::Restarted, Next::Standby, Next::StandbyOfTheLast] {
             let (mut before, first) = divided(settings(wanted), &camps(1, ALL, &THREE));
             assert_eq!(short(&first), WHOLE, "{wanted}");
             let mut standby = Bench::new(settings(wanted));
             standby.input(Input::Started { linked: true });
-            standby.receive(mirrored(&first));
+            if who == Next::Standby {
+                standby.receive(mirrored(&first));
+            }
             for epoch in 2..20 {
                 before.wait(0.5);
                 before.receive_embedding(&camps(epoch, WITHOUT, &TWO));
@@ -105,7 +118,8 @@ fn a_team_that_is_absent_keeps_its_seat_and_its_id_with_the_next_leader() {
             assert_eq!(short(&last), REST, "{wanted}");
             standby.now = before.now;
             standby.receive(mirrored(&last));
-            let kept = if is_restart { before.kept.clone() } else { standby.kept.clone() };
+            let kept = if who == Next::Restarted { &before.kept } else { &standby.kept };
+            let kept = kept.clone();
             let mut next = Bench::new(settings(wanted));
             next.input(Input::Restored(kept.unwrap()));
             next.start(vec![]);
@@ -113,13 +127,30 @@ fn a_team_that_is_absent_keeps_its_seat_and_its_id_with_the_next_leader() {
             for (epoch, scores) in (2..).zip([&TWO, &THREE, &[0.6, 0.2, 0.1, 0.1]].repeat(30)) {
                 next.receive_embedding(&again(&camps(1, WITHOUT, scores), epoch));
                 next.wait(0.4);
-                assert_eq!(short(&held(&mut next)), REST, "{wanted}, restart: {is_restart}");
+                assert_eq!(short(&held(&mut next)), REST, "{wanted}, {who:?}");
             }
             next.receive_embedding(&again(&camps(1, ALL, &THREE), 200));
             next.wait(1.0);
-            assert_eq!(short(&held(&mut next)), WHOLE, "{wanted}, restart: {is_restart}");
+            assert_eq!(short(&held(&mut next)), WHOLE, "{wanted}, {who:?}");
         }
     }
+}
+
+/// A division that was begun while a team was remembered, and is published when it is not.
+#[test]
+fn a_division_that_takes_long_names_no_team_that_was_absent_for_too_long() {
+    let (mut bench, _) = divided(settings(TeamCount::Fixed(3)), &camps(1, ALL, &THREE));
+    bench.wait(0.1);
+    bench.receive_embedding(&camps(2, WITHOUT, &TWO));
+    assert!(!held(&mut bench).remembered.ended.is_empty());
+    bench.wait(59.0);
+    bench.hold_jobs = true;
+    bench.receive_embedding(&camps(3, "a b c d m n o", &TWO));
+    bench.now = bench.now.after(Duration::from_secs(2));
+    bench.run_job();
+    let remembered = &held(&mut bench).remembered;
+    let last: Vec<_> = remembered.last.iter().map(|(robot, _)| robot.as_str()).collect();
+    assert!(last == ["p"] && remembered.ended.is_empty(), "{remembered:?}");
 }
 
 /// It was cut off for a few seconds, too short for its robots to leave the fleet, but long enough for what they report of links to

@@ -274,11 +274,22 @@ fn a_standby_keeps_what_it_hears_and_takes_over_from_it() {
     next.receive_embedding(&later(2, &ALL));
     next.wait(1.6);
     assert!(next.division().same_division(&heard));
-    // A forged message must not take the numbers that are left.
-    let mut forged = Teams::clone(&heard);
-    (forged.header, forged.next_team) = (header(9, 1), u64::MAX);
-    standby.receive(mirrored(&Checked::new_unchecked(forged)));
-    assert!(kept(&standby).reserved < 1000);
+    // Forged messages must not take the numbers that are left: neither by the next one, nor by those of
+    // teams that are away.
+    let last = TeamId::numbered(u64::MAX);
+    let forgeries: [fn(&mut Teams, TeamId); 3] = [
+        |teams, _| teams.next_team = u64::MAX,
+        |teams, last| teams.remembered.last = vec![(robot("r"), last)],
+        |teams, last| teams.remembered.ended = vec![(last, vec![robot("r")])],
+    ];
+    for (epoch, forge) in (1..).zip(forgeries) {
+        let mut forged = Teams { header: header(9, epoch), ..Teams::clone(&heard) };
+        forge(&mut forged, last.clone());
+        standby.receive(mirrored(&Checked::new_unchecked(forged)));
+        standby.wait(10.0);
+        assert!(kept(&standby).reserved < 1000);
+        assert_eq!(kept(&standby).teams, Some(heard.clone()), "forgery {epoch} is kept");
+    }
 }
 
 #[test]
