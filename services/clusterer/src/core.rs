@@ -441,6 +441,7 @@ impl Core for Clusterer {
             self.inherit(context.now(), &found);
         }
         self.publish_wishes(context, &[]);
+        self.consider(context);
     }
 
     fn on_message(&mut self, context: &mut Context<'_>, message: Message) {

@@ -113,6 +113,11 @@ impl Keeping {
         self.ended
     }
 
+    /// Whether the last write could not be made.
+    pub(crate) fn has_failed(&self) -> bool {
+        self.failed_at.is_some()
+    }
+
     /// Whether operators wait for wishes to be written.
     fn has_new_wishes(&self) -> bool {
         match (&self.wishes, &self.written_wishes) {

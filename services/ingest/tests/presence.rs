@@ -3,8 +3,9 @@
 use crate::bench::{self, Bench, links, pose, rank, token};
 use muster_model::event::EventKind;
 use muster_model::id::{InstanceId, ServiceName};
-use muster_model::role::ReplicaState;
+use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::roster::Presence::{Active, Stale};
+use muster_model::settings::IngestSettings;
 use muster_service::Input;
 use muster_wire::Message;
 use serde_json::json;
@@ -373,6 +374,27 @@ fn a_pause_is_no_outage_and_no_robot_is_judged_by_the_time_that_ingest_did_not_r
     bench.wait(3.0);
     bench.input(Input::LinkRestored);
     assert_eq!(bench.happened(), ["link back after 3 s"]);
+}
+
+/// A standby takes the fleet over with what robots report once.
+#[test]
+fn a_standby_that_was_paused_takes_no_robot_for_gone() {
+    let mut bench = Bench::asleep(IngestSettings::default());
+    let Message::Roster(roster) = bench::roster_of(bench::START, Vec::new()) else { panic!() };
+    bench.begin_inquiry();
+    bench.answer_all(vec![Message::LeaseRenewal(Box::new(LeaseRenewal {
+        header: roster.header.clone(),
+        service: ServiceName::Ingest,
+        instance: InstanceId::new("other-1").unwrap(),
+    }))]);
+    bench.receive(pose("r1", 0.0, 0.0));
+    bench.receive(rank("r1", None, None));
+    bench.wait(0.1);
+    bench.now = bench.now.after(bench::seconds(30.0));
+    bench.input(Input::Timer);
+    bench.wait(0.1);
+    assert_eq!(bench.status().standing, ReplicaState::Standby);
+    assert_eq!(bench.status().departed, [], "it did not run");
 }
 
 /// With others about, a leader that was paused waits until its link has proved sound.

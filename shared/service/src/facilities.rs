@@ -18,6 +18,10 @@ use crate::replica::Replica;
 use crate::start::Stored;
 use crate::unstored::UnstoredTerm;
 
+/// Most messages of commands that wait until an instance leads again: of each there are the outcome and an event, and
+/// an event of the settings that it changed.
+const MAX_UNSAID: usize = 3 * MAX_REMEMBERED_COMMANDS;
+
 /// The one job of a service.
 pub(crate) enum JobSlot<Job> {
     /// None runs.
@@ -40,9 +44,9 @@ pub(crate) struct Facilities<S, F, J> {
     pub(crate) gets: Gets,
     /// What operators have commanded.
     pub(crate) operator_commands: Commands,
-    /// What came of commands while this instance was suspect, which others learn once it leads again. At most
-    /// [`MAX_REMEMBERED_COMMANDS`].
-    pub(crate) unsaid: VecDeque<Arc<CommandOutcome>>,
+    /// What came of commands while this instance was suspect, and the events of that, which others learn once it
+    /// leads again. At most [`MAX_UNSAID`].
+    pub(crate) unsaid: VecDeque<Message>,
     pub(crate) job: JobSlot<J>,
     pub(crate) failures: Failures,
     /// Whether the last jobs have all failed.
@@ -50,6 +54,8 @@ pub(crate) struct Facilities<S, F, J> {
     pub(crate) commands: Vec<Command>,
     /// When state that could not be written is written again.
     pub(crate) store_again_at: Option<Tick>,
+    /// Whether an event has said that state cannot be written.
+    pub(crate) is_loss_reported: bool,
     /// What is not published before the term is on the disk.
     pub(crate) unstored_term: UnstoredTerm,
 }
@@ -73,19 +79,31 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
 
     /// Publishes what came of a command, now or once this instance leads again.
     pub(crate) fn publish_outcome(&mut self, outcome: &Arc<CommandOutcome>) {
-        if self.replica.election.is_leading() {
-            return self.publish(Message::Outcome(Arc::clone(outcome)));
+        self.publish_or_keep(Message::Outcome(Arc::clone(outcome)));
+    }
+
+    /// Publishes an event of what operators do, now or once this instance leads again: the history has it from that.
+    pub(crate) fn publish_operator_event(&mut self, severity: Severity, kind: EventKind) {
+        if self.replica.election.has_term() {
+            let event = self.replica.event(self.now, severity, kind);
+            self.publish_or_keep(event);
         }
-        if self.unsaid.len() >= MAX_REMEMBERED_COMMANDS {
+    }
+
+    fn publish_or_keep(&mut self, message: Message) {
+        if self.replica.election.is_leading() {
+            return self.publish(message);
+        }
+        if self.unsaid.len() >= MAX_UNSAID {
             self.unsaid.pop_front();
         }
-        self.unsaid.push_back(Arc::clone(outcome));
+        self.unsaid.push_back(message);
     }
 
     /// Publishes what came of commands while this instance was suspect.
     pub(crate) fn publish_unsaid(&mut self) {
-        for outcome in std::mem::take(&mut self.unsaid) {
-            self.publish(Message::Outcome(outcome));
+        for message in std::mem::take(&mut self.unsaid) {
+            self.publish(message);
         }
     }
 

@@ -67,6 +67,7 @@ impl<C: Core> Host<C> {
             gets: Gets::default(),
             operator_commands,
             unsaid: VecDeque::new(),
+            is_loss_reported: false,
             job: JobSlot::Free,
             failures: Failures::default(),
             jobs: JobOutcomes::default(),
@@ -92,12 +93,7 @@ impl<C: Core> Host<C> {
         self.facilities.now = now;
         let was_leading = self.facilities.replica.election.is_leading();
         if self.facilities.replica.election.notice_pause(now) {
-            if self.facilities.replica.election.is_linked() {
-                self.ask_for_leader();
-            }
-            if was_leading {
-                self.report_connectivity(Connectivity::Paused);
-            }
+            self.paused(was_leading);
         }
         self.dispatch(input);
         self.handle_fetched();

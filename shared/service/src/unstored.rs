@@ -5,6 +5,7 @@
 
 use std::time::Duration;
 
+use muster_model::limits::MAX_ROBOTS;
 use muster_model::role::ReplicaState;
 use muster_model::time::Tick;
 
@@ -14,9 +15,8 @@ use crate::io::{Command, Publication};
 /// a fleet that is divided is worth more than a term that cannot be used twice.
 const MAX_WAIT: Duration = Duration::from_secs(1);
 
-/// Most publications that wait: a leader publishes fewer than ten a second before it has data, and an event for each
-/// robot at most.
-const MAX_WAITING: usize = 1024;
+/// Most publications that wait: a message and an event for each robot of the largest fleet. A suspect adds none.
+const MAX_WAITING: usize = 2 * MAX_ROBOTS;
 
 /// What waits for the store of a term.
 #[derive(Debug, Default)]
@@ -59,7 +59,7 @@ impl UnstoredTerm {
         let has_term = matches!(state, ReplicaState::Leading | ReplicaState::Suspect);
         let is_written = write.stores == 0 || now >= write.until;
         let is_full = self.waiting.len() >= MAX_WAITING;
-        if (is_written && state != ReplicaState::Suspect) || is_full || !has_term {
+        if !has_term || (state == ReplicaState::Leading && (is_written || is_full)) {
             self.write = None;
             let waited = self.waiting.drain(..).filter(|_| has_term).map(Command::Publish);
             let after = std::mem::take(commands);
@@ -72,5 +72,39 @@ impl UnstoredTerm {
                 other => commands.push(other),
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn publications(count: usize) -> Vec<Command> {
+        let one = Publication { packets: Vec::new(), is_lease_renewal: false, message: None };
+        vec![Command::Publish(one); count]
+    }
+
+    /// All that waits, whatever the next input is: a leader may have more to say at once than is kept.
+    #[test]
+    fn a_suspect_keeps_all_and_a_leader_publishes_what_is_too_much() {
+        let mut unstored = UnstoredTerm::default();
+        unstored.begin(Tick(0), 1);
+        let mut commands = publications(MAX_WAITING + 1);
+        unstored.pass(Tick(0), ReplicaState::Leading, &mut commands);
+        assert!(commands.is_empty());
+        unstored.pass(Tick(1), ReplicaState::Suspect, &mut commands);
+        unstored.stored();
+        unstored.pass(Tick(0).after(MAX_WAIT), ReplicaState::Suspect, &mut commands);
+        assert!(commands.is_empty());
+        assert_eq!(unstored.deadline(ReplicaState::Suspect), None);
+        unstored.pass(Tick(2), ReplicaState::Leading, &mut commands);
+        assert_eq!(commands.len(), MAX_WAITING + 1);
+        // Without a suspicion no more waits than that.
+        let mut unstored = UnstoredTerm::default();
+        unstored.begin(Tick(0), 1);
+        let mut commands = publications(MAX_WAITING);
+        unstored.pass(Tick(0), ReplicaState::Leading, &mut commands);
+        unstored.pass(Tick(0), ReplicaState::Leading, &mut commands);
+        assert_eq!(commands.len(), MAX_WAITING);
     }
 }

@@ -46,6 +46,67 @@ fn what_a_suspect_has_answered_is_published_once_it_leads_again() {
     driven.answer(&query, Vec::new());
     assert_eq!(driven.host.replica_state(), ReplicaState::Leading);
     assert_eq!(outcomes(&driven).len(), 1);
+    // The history has it from the events, of which readers expect higher and higher numbers.
+    let events = |messages: &[Message]| -> Vec<(u64, &'static str)> {
+        let name = |message: &Message| match message {
+            Message::Event(event) => {
+                let name = match event.kind {
+                    EventKind::SettingsChanged { .. } => "changed",
+                    EventKind::Commanded { .. } => "commanded",
+                    _ => return None,
+                };
+                Some((event.header.revision.epoch, name))
+            }
+            _ => None,
+        };
+        messages.iter().filter_map(name).collect()
+    };
+    let all = [events(&driven.published), events(&driven.commanded)].concat();
+    assert_eq!(all.iter().map(|(_, name)| *name).collect::<Vec<_>>(), ["changed", "commanded"]);
+    let online = driven.published.iter().rev().find_map(|message| match message {
+        Message::Event(event) if matches!(event.kind, EventKind::JobFailed { .. }) => {
+            Some(event.header.revision.epoch)
+        }
+        _ => None,
+    });
+    assert!(all.iter().all(|(number, _)| Some(*number) < online), "{all:?}, {online:?}");
+}
+
+#[test]
+fn a_command_that_is_given_again_is_confirmed_only_if_it_is_on_the_disk() {
+    let mut driven = Driven::leading();
+    driven.hold_stores = true;
+    let now = driven.now.as_seconds();
+    let content = json!({"sent": now, "expires": now + 60.0, "action": {"set": {"teams": 7}}});
+    let give = |driven: &mut Driven, get: u64| {
+        driven.input(Input::Get(IncomingGet {
+            get: GetId(get),
+            selector: "muster/v1/alpha/command/clusterer/kim/c1".to_owned(),
+            narrowed: None,
+            parameters: String::new(),
+            payload: Some(content.to_string().into_bytes()),
+        }));
+    };
+    let answers = |driven: &mut Driven| -> Vec<bool> {
+        std::mem::take(&mut driven.replies).iter().map(|reply| reply.answer.is_ok()).collect()
+    };
+    let full = || Input::Stored { error: Some("the disk is full".to_owned()) };
+    for get in [1, 2] {
+        give(&mut driven, get);
+    }
+    assert!(answers(&mut driven).is_empty(), "it is being written");
+    driven.input(full());
+    assert_eq!(answers(&mut driven), [false, false]);
+    give(&mut driven, 3);
+    assert!(answers(&mut driven).is_empty(), "it is written again");
+    driven.input(full());
+    assert_eq!(answers(&mut driven), [false]);
+    give(&mut driven, 4);
+    driven.input(Input::Stored { error: None });
+    assert_eq!(answers(&mut driven), [true]);
+    give(&mut driven, 5);
+    assert_eq!(answers(&mut driven), [true]);
+    assert_eq!((driven.teams(), driven.counter("commands")), (7, 1));
 }
 
 #[test]

@@ -237,6 +237,38 @@ fn a_pause_is_reported_as_a_pause() {
     assert_eq!(driven.log_after(logged + 3), ["Offline", "Online"]);
 }
 
+/// What others have sent meanwhile is handled only now.
+#[test]
+fn a_standby_that_was_paused_takes_silence_for_no_proof() {
+    let mut driven = Driven::answered(vec![renewal("a", 7, 5)]);
+    let logged = driven.logged();
+    driven.now = driven.now.after(Duration::from_secs(30));
+    driven.input(Input::Timer);
+    assert_eq!(driven.host.replica_state(), ReplicaState::Standby);
+    assert_eq!(driven.log_after(logged), ["Paused", "Online", "timer"]);
+    driven.input(Input::LinkLost);
+    driven.now = driven.now.after(Duration::from_secs(30));
+    driven.input(Input::Timer);
+    assert_eq!(driven.log_after(logged + 3), ["Offline", "timer"], "it is not back");
+}
+
+/// A renewal that arrived before the link was lost is handled after that.
+#[test]
+fn an_instance_that_stands_down_without_a_link_is_offline_still() {
+    let mut driven = Driven::leading();
+    driven.receive(token("c", true));
+    driven.input(Input::LinkLost);
+    let logged = driven.logged();
+    driven.receive(renewal("c", 1, 5));
+    assert_eq!(driven.host.replica_state(), ReplicaState::Suspect, "it leads without a link not");
+    driven.receive(renewal("c", 2, 5));
+    assert_eq!(driven.host.replica_state(), ReplicaState::Starting);
+    let log = driven.log_after(logged);
+    assert_eq!(log.last().map(String::as_str), Some("Offline"), "{log:?}");
+    driven.input(Input::LinkRestored);
+    assert_eq!(driven.log_after(logged).last().map(String::as_str), Some("Online"));
+}
+
 /// Both have begun the same term while they could not reach each other.
 #[test]
 fn a_suspect_that_raises_its_term_is_online_again() {

@@ -214,6 +214,21 @@ fn state_that_cannot_be_written_is_reported_once_until_it_can() {
     assert_eq!(losses(&bench).len(), 2);
 }
 
+#[test]
+fn an_instance_that_could_not_write_before_it_led_says_so_once_it_leads() {
+    let mut driven = Driven::answered(vec![renewal("a", 7, 5)]);
+    let full = || Input::Stored { error: Some("the disk is full".to_owned()) };
+    driven.input(full());
+    assert_eq!((losses(&driven).len(), driven.counter("state_unwritable")), (0, 1));
+    driven.hold_stores = true;
+    small::take_over(&mut driven);
+    for _ in 0..3 {
+        driven.input(full());
+        driven.wait(10.0);
+    }
+    assert_eq!(losses(&driven).len(), 1, "{:?}", losses(&driven));
+}
+
 /// An instance that leads while its term is being written.
 fn unstored() -> Bench<Small<ONE_LEADS>> {
     let mut bench = Bench::new(Start {

@@ -66,7 +66,8 @@ impl Clusterer {
                 let write = self.keeping.writes_begun();
                 self.confirmations.push_back(Confirmation { get, write, answer });
                 if self.keeping.writes_ended() >= write {
-                    self.confirm_wishes(context, true);
+                    // There is nothing to write: it is on the disk as it is, or could not be written.
+                    self.confirm_wishes(context, !self.keeping.has_failed());
                 }
                 self.consider(context);
             }

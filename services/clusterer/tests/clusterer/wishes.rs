@@ -361,6 +361,49 @@ fn a_wish_is_on_disk_before_it_is_confirmed_and_there_after_a_restart() {
 }
 
 #[test]
+fn a_wish_that_could_not_be_written_is_not_confirmed_when_it_is_put_again() {
+    let (mut bench, _) = divided(fixed(), &six(1));
+    bench.hold_stores = true;
+    let put = |bench: &mut Bench, get: u64| {
+        let wish = pin(&["a"], "t2").to_string();
+        let (key, command) =
+            command_of(bench.now, "wish/alice/p", &format!("c{get}"), &wish).unwrap();
+        bench.input(Input::Get(muster_service::IncomingGet {
+            get: muster_service::GetId(get),
+            selector: format!("muster/v1/f/{key}"),
+            narrowed: None,
+            parameters: String::new(),
+            payload: Some(command.into_bytes()),
+        }));
+    };
+    // The outcome of each command is written as well.
+    let written = |bench: &mut Bench, error: Option<&str>| {
+        bench.input(Input::Kept { error: error.map(str::to_owned) });
+        for _ in 0..4 {
+            bench.input(Input::Stored { error: None });
+        }
+        let replies = std::mem::take(&mut bench.replies);
+        replies.iter().map(|reply| reply.answer.is_ok()).collect::<Vec<_>>()
+    };
+    bench.replies.clear();
+    put(&mut bench, 991);
+    assert_eq!(written(&mut bench, Some("the disk is full")), [false]);
+    put(&mut bench, 992);
+    for _ in 0..4 {
+        bench.input(Input::Stored { error: None });
+    }
+    let replies = std::mem::take(&mut bench.replies);
+    assert_eq!(replies.iter().map(|reply| reply.answer.is_ok()).collect::<Vec<_>>(), [false]);
+    bench.wait(11.0);
+    bench.input(Input::Kept { error: None });
+    put(&mut bench, 993);
+    for _ in 0..4 {
+        bench.input(Input::Stored { error: None });
+    }
+    assert!(bench.replies.last().unwrap().answer.is_ok(), "it was written again");
+}
+
+#[test]
 fn a_standby_knows_the_wishes_and_takes_them_over() {
     let (mut leader, _) = divided(fixed(), &six(1));
     put(&mut leader, "alice/p", &pin(&["a"], "t2")).unwrap();

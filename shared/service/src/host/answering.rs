@@ -134,7 +134,7 @@ impl<C: Core> Host<C> {
             facilities.announce_settings();
             let settings = facilities.replica.settings.to_json();
             let kind = EventKind::SettingsChanged { settings };
-            facilities.publish_event(Severity::Info, kind);
+            facilities.publish_operator_event(Severity::Info, kind);
         }
         // Without a term, the term will begin with an announcement.
         self.core.on_settings(&mut Context(&mut self.facilities));

@@ -246,7 +246,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
             refused: refused.map(str::to_owned),
         };
         let severity = if refused.is_some() { Severity::Warning } else { Severity::Info };
-        self.publish_event(severity, kind);
+        self.publish_operator_event(severity, kind);
     }
 
     /// Publishes to operators and standbys that a command is refused before it begins. Returns the outcome and the
@@ -286,14 +286,18 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
         problem
     }
 
-    /// Answers a command that was given before as it was answered then.
+    /// Answers a command that was given before as it was answered then, but for what was not on the disk then, or is
+    /// not now.
     fn reply_again(&mut self, get: Get, outcome: &Arc<CommandOutcome>) {
-        let answer = match &outcome.refused {
-            Some(problem) => Err(problem.clone()),
-            None => Ok(vec![Message::Outcome(Arc::clone(outcome))]),
-        };
         self.replica.add("commands_again", 1);
-        self.reply(get.id, answer, ReplyKind::Plain);
+        if let Some(problem) = &outcome.refused {
+            return self.reply(get.id, Err(problem.clone()), ReplyKind::Plain);
+        }
+        if self.store_again_at.is_some() {
+            self.store();
+        }
+        let answer = vec![Message::Outcome(Arc::clone(outcome))];
+        self.reply(get.id, Ok(answer), ReplyKind::ConfirmsStore);
     }
 
     /// Remembers what came of a command, tells standbys and operators, and returns what is answered.

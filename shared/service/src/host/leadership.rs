@@ -48,12 +48,34 @@ impl<C: Core> Host<C> {
         self.facilities.fetch(Purpose::Leader(query), patterns);
     }
 
-    /// A suspect leads again once it knows that no other instance has taken over. The core's hook comes
-    /// before everything else, so that its output of that hook is published.
+    /// The process did not run for a while. What was received meanwhile is handled only now, so that silence proves
+    /// nothing: neither to a leader, which asks whether it leads still, nor to a standby.
+    pub(super) fn paused(&mut self, was_leading: bool) {
+        let election = &self.facilities.replica.election;
+        let (state, is_linked) = (election.state(), election.is_linked());
+        match state {
+            ReplicaState::Suspect => {
+                if is_linked {
+                    self.ask_for_leader();
+                }
+                if was_leading {
+                    self.report_connectivity(Connectivity::Paused);
+                }
+            }
+            ReplicaState::Standby if is_linked => {
+                self.report_connectivity(Connectivity::Paused);
+                self.report_connectivity(Connectivity::Online);
+            }
+            ReplicaState::Starting | ReplicaState::Standby | ReplicaState::Leading => {}
+        }
+    }
+
+    /// A suspect leads again once it knows that no other instance has taken over. The core's hook comes before the
+    /// rest of the input, so that its output of that hook is published.
     pub(super) fn confirm_leadership(&mut self) {
         if self.facilities.replica.election.confirm(self.facilities.now) {
-            self.report_connectivity(Connectivity::Online);
             self.facilities.publish_unsaid();
+            self.report_connectivity(Connectivity::Online);
         }
     }
 
@@ -81,10 +103,12 @@ impl<C: Core> Host<C> {
             Rivalry::StandDown => self.stand_down(),
             Rivalry::RaiseTerm(revision) => {
                 let was_suspect = !self.facilities.replica.election.is_leading();
+                if was_suspect {
+                    self.facilities.publish_unsaid();
+                }
                 self.begin_term(Some(revision));
                 if was_suspect {
                     self.report_connectivity(Connectivity::Online);
-                    self.facilities.publish_unsaid();
                 }
                 self.core.on_new_term(&mut Context(&mut self.facilities), Vec::new());
             }
@@ -100,6 +124,9 @@ impl<C: Core> Host<C> {
         self.facilities.abandon_job();
         self.facilities.jobs.succeeded();
         self.core.on_stand_down(&mut Context(&mut self.facilities));
+        if !self.facilities.replica.election.is_linked() {
+            self.report_connectivity(Connectivity::Offline);
+        }
         self.inquire();
     }
 

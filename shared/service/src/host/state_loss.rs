@@ -92,12 +92,16 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
         }
     }
 
-    /// State was written, or could not be. A failure is reported when it begins.
+    /// State was written, or could not be. A leader reports a failure once until it can.
     pub(crate) fn store_ended(&mut self, error: Option<&str>) {
-        let failed_before = self.replica.count_of(StatusGauge::StateUnwritable.as_str()) > 0;
         self.replica.set(StatusGauge::StateUnwritable, u64::from(error.is_some()));
         self.store_again_at = error.is_some().then(|| self.now.after(STORE_RETRY_INTERVAL));
-        if let Some(error) = error.filter(|_| !failed_before) {
+        self.is_loss_reported &= error.is_some();
+        if let Some(error) = error
+            && !self.is_loss_reported
+            && self.replica.election.is_leading()
+        {
+            self.is_loss_reported = true;
             let reason = format!(
                 "state cannot be written and will not survive a restart: {}",
                 quoted(error)

@@ -204,25 +204,24 @@ impl Election {
         }
     }
 
-    /// The instance runs now. True if it was a leader or suspect and was paused for so long that another one may lead:
-    /// it is suspect from now on, and has to ask. A standby gives its leader the whole lease again.
+    /// The instance runs now. Whether it was paused for so long that another one may lead; then a leader is suspect
+    /// from now on, and has to ask. A standby gives its leader the whole lease again.
     pub(crate) fn notice_pause(&mut self, now: Tick) -> bool {
         let paused = now.since(self.last_run) >= PAUSE;
         self.last_run = now;
         if paused {
             self.extend_grace(now);
             self.distrust_silence(now);
+            self.become_suspect();
         }
-        paused && self.become_suspect()
+        paused
     }
 
-    /// A leader becomes suspect, and what a suspect has asked proves nothing any more; whether it is suspect now.
-    fn become_suspect(&mut self) -> bool {
-        if self.replication == Replication::EveryInstance || !self.has_term() {
-            return false;
+    /// A leader becomes suspect, and what a suspect has asked proves nothing any more.
+    fn become_suspect(&mut self) {
+        if self.replication == Replication::OneLeads && self.has_term() {
+            self.state = State::Suspect(Suspicion::default());
         }
-        self.state = State::Suspect(Suspicion::default());
-        true
     }
 
     /// A query for the current leader goes out.
@@ -419,7 +418,8 @@ impl Election {
                 return Rivalry::None;
             }
             if revision.term == term && self.instance < renewal.instance {
-                return Rivalry::RaiseTerm(revision);
+                // A renewal that arrived before the link was lost. Once it is back, a suspect asks.
+                return if self.linked { Rivalry::RaiseTerm(revision) } else { Rivalry::None };
             }
             self.state = State::Starting(Candidate::new(now));
             self.set_leader(now, renewal);

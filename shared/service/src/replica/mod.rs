@@ -240,11 +240,6 @@ impl<S: Settings> Replica<S> {
         }
     }
 
-    /// The value of a counter.
-    pub(crate) fn count_of(&self, counter: &'static str) -> u64 {
-        self.counters.get(counter).copied().unwrap_or_default()
-    }
-
     /// Whether this host has stored no term.
     pub(crate) fn has_no_stored_term(&self) -> bool {
         self.stored_term == 0

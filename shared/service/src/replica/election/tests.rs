@@ -127,7 +127,8 @@ fn a_lost_link_proves_nothing_about_the_leader() {
 #[test]
 fn a_standby_that_was_paused_gives_its_leader_the_whole_lease_again() {
     let mut election = standby_of("a");
-    assert!(!election.notice_pause(at(30.0)), "only a leader becomes suspect");
+    assert!(election.notice_pause(at(30.0)));
+    assert_eq!(election.state(), ReplicaState::Standby, "only a leader becomes suspect");
     assert!(!election.takes_over(at(30.0)));
     assert_eq!(takes_over(&mut election, 30.0, 31.9), None);
     assert!(takes_over(&mut election, 31.9, 32.1).is_some());
@@ -222,6 +223,12 @@ fn the_higher_term_wins_and_in_the_same_the_lower_name() {
     let raise = Rivalry::RaiseTerm(Revision { term: 5, epoch: 5 });
     assert_eq!(leading().renewal(START, &renewal("c", 5), Published, 5), raise);
     assert_eq!(leading().renewal(START, &renewal("b", 9), Published, 5), Rivalry::None, "its own");
+    // Without a link it must not lead: it would take silence for proof.
+    let mut cut_off = leading();
+    cut_off.link_lost();
+    assert_eq!(cut_off.renewal(START, &renewal("c", 5), Published, 5), Rivalry::None);
+    cut_off.link_restored(START);
+    assert_eq!(cut_off.renewal(START, &renewal("c", 5), Published, 5), raise);
 }
 
 #[test]
