@@ -182,6 +182,10 @@ fn the_units_start_what_there_is() {
     for unit in alone.into_iter().chain(["muster@.service"]) {
         let unit = &format!("systemd/{unit}");
         assert!(read(unit).lines().any(|line| line == "WatchdogSec=10"), "{unit}");
+        // One with the services of many fleets may take more than one service.
+        let gibibytes = if unit.contains("fleets") { 4 } else { 2 };
+        assert_eq!(bytes(&limit(unit, "MemoryMax")), gibibytes << 30, "{unit}");
+        assert_eq!(limit(unit, "TasksMax"), "1024", "{unit}");
     }
 }
 
@@ -321,9 +325,10 @@ fn the_health_check_of_each_container_tells_a_process_that_hangs() {
     let containers = compose["services"].as_object().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let endpoint = free_endpoint().unwrap();
+    let topics = deploy().join("ros2/topics.toml").display().to_string();
     let mut running = BTreeMap::new();
     // The services first: they are alive while they wait for their router.
-    for name in SERVICES.into_iter().chain(["router", "console", "foxglove"]) {
+    for name in SERVICES.into_iter().chain(["router", "console", "foxglove", "ros2"]) {
         let own = &containers[name];
         assert!(own["environment"]["MUSTER_HTTP"].is_string(), "{name} has no port to ask");
         let port = free_address().unwrap();
@@ -332,6 +337,7 @@ fn the_health_check_of_each_container_tells_a_process_that_hangs() {
         let arguments = match name {
             "router" => vec![command[1].as_str(), "--listen", &endpoint],
             "console" | "foxglove" => vec!["--connect", &endpoint, "--serve", "127.0.0.1:0"],
+            "ros2" => vec!["--connect", &endpoint, "--topics", &topics],
             _ => vec!["--connect", &endpoint, "--state-directory", "none"],
         };
         let process = Process::start(&command[0], &arguments, &environment, folder.path()).unwrap();
@@ -346,6 +352,7 @@ fn the_health_check_of_each_container_tells_a_process_that_hangs() {
             "router" => "systemd/muster-router.service",
             "console" => "systemd/muster-console.service",
             "foxglove" => "systemd/muster-foxglove.service",
+            "ros2" => "systemd/muster-ros2.service",
             _ => "systemd/muster@.service",
         };
         let (memory, tasks) = (bytes(&limit(unit, "MemoryMax")), limit(unit, "TasksMax"));

@@ -78,4 +78,16 @@ async fn a_fleet_is_divided_at_an_old_router_that_loses_answers() {
         division.len() == 8 && division.values().all(Option::is_some)
     };
     teams.until("eight robots have teams", SOON, all).await.unwrap();
+    // What operators see of it, and the remedy.
+    let start = Instant::now();
+    loop {
+        let (_, out, err) = cluster.muster(&["doctor", "--json", "--listen-for", "1"]).unwrap();
+        let report: Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{out}{err}"));
+        let findings = report["findings"].as_array().unwrap();
+        let silent = findings.iter().find(|finding| finding["id"] == "service_silent");
+        if silent.is_some_and(|found| found["remedy"].to_string().contains("before 1.9")) {
+            break;
+        }
+        assert!(start.elapsed() < SOON, "{report:#}");
+    }
 }

@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
+use muster_tests::BUSY;
 use muster_tests::client::Client;
 use muster_tests::cluster::{SERVICES, start_router};
 use muster_tests::ports::free_endpoint;
@@ -23,7 +24,7 @@ const ROBOTS: usize = 36;
 
 /// How soon after the router has started again all clients are back, 5 s on an idle machine: one stranger costs 30 s in Zenoh's own
 /// listener of QUIC, and that of TLS never comes to an end.
-const BACK_WITHIN: Duration = Duration::from_secs(15);
+const BACK_WITHIN: Duration = Duration::from_secs(5 * BUSY);
 
 /// How soon a client is there that comes after silent connections, which cost 10 s in Zenoh's own configuration.
 const THERE_WITHIN: Duration = Duration::from_secs(8);

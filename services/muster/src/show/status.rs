@@ -248,6 +248,7 @@ mod tests {
     use muster_model::header::Revision;
     use muster_model::id::{InstanceId, Modality, RobotId};
     use muster_model::status::Departure;
+    use serde_json::Value;
 
     use super::super::page::tests::{WIDTHS, assert_fits, page};
     use super::*;
@@ -315,6 +316,19 @@ mod tests {
         assert_eq!(shown, "left within the last hour: r0 (50 s ago), r1 (1 min ago)");
         let many = departed(&[status(ReplicaState::Leading, 30)]).unwrap();
         assert!(many.ends_with(", and 6 more, see --json"), "{many}");
+        let fleet = FleetStatus {
+            fleet: FleetId::new("alpha").unwrap(),
+            services: both.to_vec(),
+            silent: vec![],
+            joined: 0,
+            roster: None,
+            modalities: vec![],
+            audit: None,
+        };
+        let lines = fleet.lines(&page(WIDTHS[0]), Tick(0));
+        assert!(lines.contains(&shown), "{lines:?}");
+        let json = serde_json::from_slice::<Value>(&fleet.json(Tick(0)).unwrap()).unwrap();
+        assert_eq!(json["departed"].as_array().map(Vec::len), Some(2), "{json}");
     }
 
     #[test]
