@@ -119,6 +119,9 @@ fn divide_once(job: &Job, rules: &TeamRules, search: Search) -> Result<Teams, Di
             ids.push(id.clone());
         }
     }
+    if !stands {
+        keep_left_out(job, rules, &all, &mut ids);
+    }
     revive(job, rules, &all, stands, &mut ids);
     let x = vectors(embedding)?;
     let centroids = crate::division::means(&x, &all, ids.len())?;
@@ -134,6 +137,38 @@ fn divide_once(job: &Job, rules: &TeamRules, search: Search) -> Result<Teams, Di
         None => judge(rules, &teams, embedding)?,
     });
     Ok(teams)
+}
+
+/// Gives clusters the ids of teams that were left out as fewer are made, where more of their robots were in such a team
+/// than in the one that they would become: which teams are left out is decided before it is known which robots stay
+/// together. Limits, needs and wishes of a team that is named are its own, so that its id goes to no other robots.
+fn keep_left_out(job: &Job, rules: &TeamRules, labels: &[Option<usize>], ids: &mut [TeamId]) {
+    let Some(previous) = &job.previous else { return };
+    let last: BTreeMap<&RobotId, &TeamId> = previous.assignments().collect();
+    let mut clusters: Vec<Vec<&RobotId>> = vec![Vec::new(); ids.len()];
+    for (robot, label) in job.embedding.robots.iter().zip(labels) {
+        if let Some(label) = label {
+            clusters[*label].push(robot);
+        }
+    }
+    let shared = |cluster: usize, id: &TeamId| {
+        let of_team = |robot: &&&RobotId| last.get(**robot).is_some_and(|team| *team == id);
+        clusters[cluster].iter().filter(of_team).count()
+    };
+    for team in previous.teams.iter().map(|team| &team.id) {
+        if ids.contains(team) || rules.names(team) {
+            continue;
+        }
+        let gains =
+            |cluster: usize| shared(cluster, team).saturating_sub(shared(cluster, &ids[cluster]));
+        let unnamed = (0..ids.len()).filter(|cluster| !rules.names(&ids[*cluster]));
+        let Some(most) = unnamed.rev().max_by_key(|cluster| gains(*cluster)) else { continue };
+        let mut after = ids.to_vec();
+        after[most].clone_from(team);
+        if gains(most) > 0 && rules.admits(team, &clusters[most], &after) {
+            ids[most].clone_from(team);
+        }
+    }
 }
 
 /// Gives new teams the ids of those that ended, where most of their robots are back in one, and the limits of the old team

@@ -200,7 +200,7 @@ impl TeamRules {
     }
 
     /// Whether a limit, a need or a wish names a team.
-    fn names(&self, team: &TeamId) -> bool {
+    pub(crate) fn names(&self, team: &TeamId) -> bool {
         self.of_team.contains_key(team) || self.needs.name(team) || self.is_wished(team)
     }
 

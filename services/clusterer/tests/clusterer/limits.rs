@@ -47,6 +47,27 @@ fn teams_have_at_least_as_many_robots_as_they_must() {
     assert_eq!(short(&division), "t1: a b c | t2: d x");
 }
 
+/// Where fewer teams are made, none has the id of robots that are elsewhere.
+#[test]
+fn robots_that_stay_together_keep_their_id_where_two_other_teams_become_one() {
+    let places = [("a b c", WEST), ("m n o", [0.5, 0.0]), ("x y z", [30.0, 30.0])];
+    for far in 0..3 {
+        let mut groups = places;
+        groups[far].1 = [30.0, 30.0];
+        groups[2].1 = if far == 2 { groups[2].1 } else { [0.3, 0.3] };
+        let (mut bench, first) = divided(limited(3, None, Some(8)), &embedding(1, &groups));
+        assert_eq!(short(&first), "t1: a b c | t2: m n o | t3: x y z");
+        set(&mut bench, r#"{"teams":2}"#).unwrap();
+        let division = bench.division();
+        assert_eq!(conflict(&division), None);
+        let (alone, id) = (places[far].0, format!("t{}", far + 1));
+        let of_id = division.teams.iter().find(|team| team.id.as_str() == id);
+        let of_id = of_id.unwrap_or_else(|| panic!("{id}: {}", short(&division)));
+        let names: Vec<&str> = of_id.members.iter().map(|member| member.robot.as_str()).collect();
+        assert_eq!(names.join(" "), alone, "{}", short(&division));
+    }
+}
+
 #[test]
 fn a_limit_is_that_of_the_team_that_keeps_the_id() {
     let first = embedding(1, &[("a b", WEST), ("x y z", EAST)]);
