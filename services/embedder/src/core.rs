@@ -465,7 +465,9 @@ impl Embedder {
     fn explain(&mut self, context: &mut Context<'_>, slot: FreeJobSlot) {
         let known = self.embedding.clone().zip(self.vectors_since);
         let task = known.and_then(|(embedding, since)| self.reasons.ask(embedding, since));
-        let (Some(task), Some(memory)) = (task, self.memory.take()) else {
+        // What was computed stays where there is nothing to answer by.
+        let task = task.and_then(|task| Some((task, self.memory.take()?)));
+        let Some((task, memory)) = task else {
             let problem = "there is no embedding yet; ask again in a moment";
             return self.reasons.refuse(problem, false, context);
         };

@@ -66,14 +66,25 @@ fn divide_from(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
 /// Whether the robots of a division were in the teams of the last one as the rules want it.
 fn is_sound(rules: &TeamRules, last: &Teams, found: &Teams) -> bool {
     let has_conflict = found.limited.as_ref().is_some_and(|limited| limited.conflict.is_some());
+    let robots = |team: &'_ Team| -> Vec<RobotId> {
+        team.members.iter().map(|member| member.robot.clone()).collect()
+    };
+    let unfilled = |teams: &Teams| -> usize {
+        let of_team = |team: &Team| {
+            let robots = robots(team);
+            rules.needs.unfilled_by(&team.id, &robots.iter().collect::<Vec<_>>())
+        };
+        teams.teams.iter().map(of_team).sum()
+    };
     let placed: BTreeMap<RobotId, TeamId> =
         last.assignments().map(|(robot, team)| (robot.clone(), team.clone())).collect();
     let columns: Vec<TeamId> = last.teams.iter().map(|team| team.id.clone()).collect();
     let admits = |team: &Team| {
-        let robots: Vec<&RobotId> = team.members.iter().map(|member| &member.robot).collect();
-        rules.admits(&team.id, &robots, &columns)
+        let robots = robots(team);
+        rules.admits(&team.id, &team.id, &robots.iter().collect::<Vec<_>>(), &columns)
     };
     !has_conflict
+        && unfilled(last) <= unfilled(found)
         && found.assignments().count() == placed.len()
         && found.assignments().all(|(robot, _)| placed.contains_key(robot))
         && last.teams.iter().all(admits)
@@ -119,10 +130,10 @@ fn divide_once(job: &Job, rules: &TeamRules, search: Search) -> Result<Teams, Di
             ids.push(id.clone());
         }
     }
+    revive(job, rules, &all, stands, &mut ids);
     if !stands {
         keep_left_out(job, rules, &all, &mut ids);
     }
-    revive(job, rules, &all, stands, &mut ids);
     let x = vectors(embedding)?;
     let centroids = crate::division::means(&x, &all, ids.len())?;
     let inertia = crate::division::inertia(&x, &all, &centroids);
@@ -146,28 +157,41 @@ fn keep_left_out(job: &Job, rules: &TeamRules, labels: &[Option<usize>], ids: &m
     let Some(previous) = &job.previous else { return };
     let last: BTreeMap<&RobotId, &TeamId> = previous.assignments().collect();
     let mut clusters: Vec<Vec<&RobotId>> = vec![Vec::new(); ids.len()];
+    let mut shared: BTreeMap<(usize, &TeamId), usize> = BTreeMap::new();
     for (robot, label) in job.embedding.robots.iter().zip(labels) {
-        if let Some(label) = label {
-            clusters[*label].push(robot);
+        let Some(label) = *label else { continue };
+        clusters[label].push(robot);
+        if let Some(team) = last.get(robot).copied().or_else(|| job.memory.last_team(robot)) {
+            *shared.entry((label, team)).or_default() += 1;
         }
     }
-    let shared = |cluster: usize, id: &TeamId| {
-        let of_team = |robot: &&&RobotId| last.get(**robot).is_some_and(|team| *team == id);
-        clusters[cluster].iter().filter(of_team).count()
-    };
-    for team in previous.teams.iter().map(|team| &team.id) {
-        if ids.contains(team) || rules.names(team) {
-            continue;
-        }
+    let lives = |id: &TeamId| previous.teams.iter().any(|team| team.id == *id);
+    // Each turn more robots keep their team, so that there are no more turns than robots.
+    loop {
+        let gain = |cluster: usize, count: usize| {
+            let own = shared.get(&(cluster, &ids[cluster])).copied().unwrap_or_default();
+            count.saturating_sub(own)
+        };
+        let admits = |cluster: usize, team: &TeamId| {
+            let mut after = ids.to_vec();
+            after[cluster].clone_from(team);
+            rules.admits(team, &ids[cluster], &clusters[cluster], &after)
+        };
+        let may_be = |cluster: usize, team: &TeamId| {
+            !ids.contains(team)
+                && lives(team)
+                && !rules.names(team)
+                && !rules.names(&ids[cluster])
+                && admits(cluster, team)
+        };
         let gains =
-            |cluster: usize| shared(cluster, team).saturating_sub(shared(cluster, &ids[cluster]));
-        let unnamed = (0..ids.len()).filter(|cluster| !rules.names(&ids[*cluster]));
-        let Some(most) = unnamed.rev().max_by_key(|cluster| gains(*cluster)) else { continue };
-        let mut after = ids.to_vec();
-        after[most].clone_from(team);
-        if gains(most) > 0 && rules.admits(team, &clusters[most], &after) {
-            ids[most].clone_from(team);
-        }
+            shared.iter().map(|(&(cluster, team), &count)| (gain(cluster, count), cluster, team));
+        // Of equal ones the first.
+        let best = gains
+            .filter(|(gain, cluster, team)| *gain > 0 && may_be(*cluster, team))
+            .reduce(|best, other| if other.0 > best.0 { other } else { best });
+        let Some((_, cluster, team)) = best else { return };
+        ids[cluster].clone_from(team);
     }
 }
 
@@ -197,7 +221,7 @@ fn revive(
         let robots = clusters[cluster].len();
         let mut after = ids.to_vec();
         after[cluster].clone_from(id);
-        let is_sound = rules.admits(id, &clusters[cluster], &after);
+        let is_sound = rules.admits(id, &ids[cluster], &clusters[cluster], &after);
         let has_room = || is_sound || stands && robots <= rules.bounds(id).upper;
         if !lives(id) && !lives(&ids[cluster]) && has_room() {
             ids[cluster] = id.clone();
@@ -478,7 +502,8 @@ impl<'a> Problem<'a> {
             return order;
         }
         let admits = |cluster: usize, column: usize| {
-            self.rules.admits(&self.columns[column], &members[cluster], &self.columns)
+            let (team, own) = (&self.columns[column], &self.columns[cluster]);
+            cluster == column || self.rules.admits(team, own, &members[cluster], &self.columns)
         };
         matched(shared, self.robots.len(), admits).unwrap_or(order)
     }
@@ -495,7 +520,8 @@ impl<'a> Problem<'a> {
         news.sort_by_key(|cluster| (clusters[*cluster].is_empty(), clusters[*cluster].first()));
         let sorted: Vec<(usize, usize)> = news.into_iter().zip(columns).collect();
         if sorted.iter().all(|(at, column)| {
-            self.rules.admits(&self.columns[*column], &clusters[*at], &self.columns)
+            let (team, own) = (&self.columns[*column], &self.columns[order[*at]]);
+            self.rules.admits(team, own, &clusters[*at], &self.columns)
         }) {
             for (cluster, column) in sorted {
                 order[cluster] = column;

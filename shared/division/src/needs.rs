@@ -238,14 +238,15 @@ impl Needs {
         })
     }
 
-    /// Whether robots have what their team needs.
-    pub(crate) fn are_filled_by(&self, team: &TeamId, robots: &[&RobotId]) -> bool {
-        self.skills.iter().all(|skill| {
-            self.amount(skill, team).is_none_or(|amount| {
-                let have = robots.iter().filter(|robot| skill.robots.contains(**robot)).count();
-                (amount.min as usize..=amount.bounds().upper).contains(&have)
-            })
-        })
+    /// How many robots with some skill these would have too few or too many as a team; none where its needs are filled.
+    pub(crate) fn unfilled_by(&self, team: &TeamId, robots: &[&RobotId]) -> usize {
+        let unfilled = self.skills.iter().filter_map(|skill| {
+            let amount = self.amount(skill, team)?;
+            let have = robots.iter().filter(|robot| skill.robots.contains(**robot)).count();
+            let missing = (amount.min as usize).saturating_sub(have);
+            Some(missing + have.saturating_sub(amount.bounds().upper))
+        });
+        unfilled.sum()
     }
 
     /// Whether a robot has a skill that some team needs.

@@ -564,11 +564,19 @@ impl TeamRules {
         self.wishes.iter().filter(of_groups).all(|asked| grants_group(&asked.wish, placed))
     }
 
-    /// Whether these robots may be a team of these.
-    pub(crate) fn admits(&self, team: &TeamId, robots: &[&RobotId], columns: &[TeamId]) -> bool {
+    /// Whether these robots may be a team of these, instead of `before`. Needs may be soft, or more than the fleet can
+    /// fill, so that they need only be filled no worse.
+    pub(crate) fn admits(
+        &self,
+        team: &TeamId,
+        before: &TeamId,
+        robots: &[&RobotId],
+        columns: &[TeamId],
+    ) -> bool {
         let is_here = |column: Column| matches!(column, Column::Team(at) if columns[at] == *team);
+        let unfilled = |team: &TeamId| self.needs.unfilled_by(team, robots);
         self.has_room(team, robots.len())
-            && self.needs.are_filled_by(team, robots)
+            && unfilled(team) <= unfilled(before)
             && self.ties(columns, robots).iter().all(|tie| match tie.pair {
                 Pair::Forced { column, .. } => is_here(column),
                 Pair::Forbidden { column, .. } => !is_here(column),

@@ -85,6 +85,30 @@ fn a_team_that_is_cut_off_moves_nobody_else_and_comes_back_as_what_it_was() {
     }
 }
 
+/// A need that no team fills must not keep a team from its id.
+#[test]
+fn a_team_that_comes_back_keeps_its_id_where_no_robot_has_what_is_needed() {
+    let (mut bench, first) = divided(settings(TeamCount::Fixed(3)), &camps(1, ALL, &THREE));
+    assert_eq!(short(&first), WHOLE);
+    let needs = r#"{"needs":[{"skill":"medic","per_team":{"min":1},"soft":true}]}"#;
+    bench.receive_roster(roster(1, ALL));
+    bench.get("service/clusterer/settings", Some(needs)).unwrap();
+    let mut epoch = 1;
+    let mut receive = |bench: &mut Bench, present: &str| {
+        epoch += 1;
+        bench.wait(0.5);
+        bench.receive_embedding(&camps(epoch, present, &THREE));
+        short(&held(bench))
+    };
+    for _ in 0..4 {
+        assert_eq!(receive(&mut bench, WITHOUT), REST);
+    }
+    for (present, team) in [("z", "t3: z"), ("w z", "t3: w z"), ("w x y z", "t3: w x y z")] {
+        let division = receive(&mut bench, &format!("{WITHOUT} {present}"));
+        assert_eq!(division, format!("{REST} | {team}"));
+    }
+}
+
 /// Who leads next after the one that divided.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Next {

@@ -51,12 +51,17 @@ fn teams_have_at_least_as_many_robots_as_they_must() {
 #[test]
 fn robots_that_stay_together_keep_their_id_where_two_other_teams_become_one() {
     let places = [("a b c", WEST), ("m n o", [0.5, 0.0]), ("x y z", [30.0, 30.0])];
-    for far in 0..3 {
+    // No robot has what is needed, so that no team can have it under any id.
+    let unfilled = r#"{"needs":[{"skill":"medic","per_team":{"min":1},"soft":true}]}"#;
+    for (far, patch) in (0..3).flat_map(|far| [(far, "{}"), (far, unfilled)]) {
         let mut groups = places;
         groups[far].1 = [30.0, 30.0];
         groups[2].1 = if far == 2 { groups[2].1 } else { [0.3, 0.3] };
         let (mut bench, first) = divided(limited(3, None, Some(8)), &embedding(1, &groups));
         assert_eq!(short(&first), "t1: a b c | t2: m n o | t3: x y z");
+        bench.receive_roster(roster(1, "a b c m n o x y z"));
+        set(&mut bench, patch).unwrap();
+        bench.take();
         set(&mut bench, r#"{"teams":2}"#).unwrap();
         let division = bench.division();
         assert_eq!(conflict(&division), None);
@@ -66,6 +71,65 @@ fn robots_that_stay_together_keep_their_id_where_two_other_teams_become_one() {
         let names: Vec<&str> = of_id.members.iter().map(|member| member.robot.as_str()).collect();
         assert_eq!(names.join(" "), alone, "{}", short(&division));
     }
+}
+
+/// One after the other takes the id of another one that was left out.
+#[test]
+fn each_of_several_teams_that_are_left_out_keeps_its_id_where_most_of_its_robots_are() {
+    let far = |at: f64| [at, at];
+    let first = [
+        ("a1 a2 a3 a4 a5", WEST),
+        ("b1 b2 b3 b4 b5", far(10.0)),
+        ("c1 c2 c3 c4 c5", far(20.0)),
+        ("d1 d2 d3 d4 d5", far(30.0)),
+        ("e1 e2 e3 e4", far(40.0)),
+    ];
+    let (mut bench, all) = divided(limited(5, None, Some(30)), &embedding(1, &first));
+    assert_eq!(all.teams.len(), 5);
+    set(&mut bench, r#"{"teams":3}"#).unwrap();
+    bench.take();
+    let second = [
+        ("a1 a2 a3 a4 a5 b1 b2 b3 b4 b5 c1 c2 c3 c4 c5", WEST),
+        ("d1 d2 d3 e1 e2 e3 e4", far(40.0)),
+        ("d4 d5", far(80.0)),
+    ];
+    let mut from_five = Bench::restored(limited(3, None, Some(30)), vec![mirrored(&all)]);
+    from_five.receive_embedding(&again(&embedding(2, &second), 2, 2));
+    from_five.wait(3.0);
+    let last = from_five.take().teams.pop().unwrap().0;
+    let team_of = |robot: &str| {
+        let of = last.assignments().find(|(name, _)| name.as_str() == robot);
+        of.unwrap().1.to_string()
+    };
+    let ids = [team_of("a1"), team_of("d1"), team_of("d4")];
+    assert_eq!(ids, ["t1", "t5", "t4"], "{}", short(&last));
+}
+
+/// They had left, and as they are back fewer teams are made than robots are from.
+#[test]
+fn a_team_that_returns_keeps_its_id_before_the_few_robots_that_join_it() {
+    let settings = ClustererSettings { dwell_s: 0.0, ..limited(3, None, Some(8)) };
+    let first = [("a b c", WEST), ("m n o", [9.0, 0.0]), ("v w x y z", [0.0, 9.0])];
+    let (mut bench, all) = divided(settings, &embedding(1, &first));
+    assert_eq!(short(&all), "t1: a b c | t2: m n o | t3: v w x y z");
+    let mut epoch = 1;
+    let mut receive = |bench: &mut Bench, groups: &[(&str, [f64; 2])]| {
+        epoch += 1;
+        bench.wait(0.5);
+        bench.receive_embedding(&embedding(epoch, groups));
+    };
+    receive(&mut bench, &[("a b c", WEST), ("m n o", [9.0, 0.0])]);
+    set(&mut bench, r#"{"teams":2}"#).unwrap();
+    for _ in 0..4 {
+        receive(&mut bench, &[("a b c m n", WEST), ("o", [9.0, 0.0])]);
+    }
+    let rest = bench.take().teams.pop().unwrap().0;
+    assert_eq!(short(&rest), "t1: a b c m n | t2: o");
+    for _ in 0..8 {
+        receive(&mut bench, &[("a b c m n", WEST), ("o v w x y z", [9.0, 0.0])]);
+    }
+    let back = bench.take().teams.pop().unwrap().0;
+    assert_eq!(short(&back), "t1: a b c m n | t3: o v w x y z");
 }
 
 #[test]
