@@ -279,7 +279,8 @@ fn spawn(path: &Path, flags: &[OsString]) -> std::io::Result<Child> {
     for variable in OWN_VARIABLES {
         command.env_remove(variable);
     }
-    command.spawn()
+    // A file that the environment names may have the port of this process.
+    command.args(["--http", "none"]).spawn()
 }
 
 /// Programs that run. What still runs when this is dropped is killed.

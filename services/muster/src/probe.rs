@@ -5,7 +5,6 @@ use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
-use anyhow::Context as _;
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::{Exit, ExitError};
 use muster_wire::message::plain_reason;
@@ -35,10 +34,12 @@ pub(crate) fn run(_: &ProbeArgs, config: &ProcessConfig) -> anyhow::Result<()> {
         let problem = "http: no port to ask; set --http or MUSTER_HTTP to that of the process";
         return Err(ExitError::usage(problem).into());
     };
-    let answer = get(address).with_context(|| {
-        format!(
-            "http: no answer from {address}; does the process run, with this port as its --http?"
-        )
+    // As a text: a port that closes at once breaks a pipe, and that must not be taken for a reader that has gone away.
+    let answer = get(address).map_err(|error| {
+        let message = format!(
+            "http: no answer from {address}; does the process run, with this port as its --http?: {error}"
+        );
+        ExitError { exit: Exit::Failure, message }
     })?;
     let (head, body) = answer.split_once("\r\n\r\n").unwrap_or((&answer, ""));
     let code = head.split(' ').nth(1).unwrap_or_default();
@@ -63,7 +64,8 @@ fn get(address: SocketAddr) -> std::io::Result<String> {
     let mut stream = TcpStream::connect_timeout(&address, STEP_TIMEOUT)?;
     stream.set_read_timeout(Some(STEP_TIMEOUT))?;
     stream.set_write_timeout(Some(STEP_TIMEOUT))?;
-    write!(stream, "GET /healthz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n")?;
+    let request = format!("GET /healthz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+    stream.write_all(request.as_bytes())?;
     let mut answer = Vec::new();
     stream.take(MAX_ANSWER_BYTES).read_to_end(&mut answer)?;
     Ok(String::from_utf8_lossy(&answer).into_owned())

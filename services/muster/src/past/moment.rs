@@ -104,9 +104,11 @@ fn whole(text: &str) -> Option<Tick> {
     let parts: Vec<i64> =
         date_text.split('-').map(|part| part.parse().ok()).collect::<Option<_>>()?;
     let [year, month, day] = parts.as_slice() else { return None };
-    let day = days(*year, *month, *day);
+    // No other one can be computed with.
+    let is_date = (1970..2255).contains(year) && (1..=12).contains(month) && (1..=31).contains(day);
+    let day = is_date.then(|| days(*year, *month, *day))?;
     // A date that does not exist is another one.
-    let exists = [*year, *month, parts[2]] == date(day) && (1970..2255).contains(year);
+    let exists = [*year, *month, parts[2]] == date(day);
     let at = Duration::from_secs_f64(of_day(time)?);
     let start = u64::try_from(day).ok().filter(|_| exists)? * DAY_S * 1_000_000;
     Some(Tick(start).after(at))
@@ -168,6 +170,8 @@ mod tests {
             "1:2:3:4",
             "2026-02-30T00:00:00Z",
             "2026-13-01T00:00:00Z",
+            "99999999999999999-01-01T00:00:00Z",
+            "2026-9999999999999999-01T00:00:00Z",
             "1e30",
             "2026-11-20",
             "12:00:-1",
