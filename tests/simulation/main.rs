@@ -120,9 +120,9 @@ fn every_promise_holds_for_three_hundred_seeds() {
     assert!(total.events > SEEDS * 2000, "{}", total.events);
 }
 
-/// How many of the fresh seeds may break a promise. Of the last 35,000 two did. Those causes are mended, and too few seeds were run since
-/// to know that there is no other one: with none allowed, a run could fail for something that no change has caused. What fails is
-/// printed in any case.
+/// How many of the fresh seeds may break a promise. Of the last 48,000, on several states of the programs, four did. Those
+/// causes are mended, and too few seeds were run since to know that there is no other one: with none allowed, a run could
+/// fail for something that no change has caused. What fails is printed in any case.
 const ALLOWED_FAILURES: usize = 1;
 
 /// Seeds that broke a promise once, and what it was.
