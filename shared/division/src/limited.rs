@@ -66,29 +66,24 @@ fn divide_from(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
 /// Whether the robots of a division were in the teams of the last one as the rules want it.
 fn is_sound(rules: &TeamRules, last: &Teams, found: &Teams) -> bool {
     let has_conflict = found.limited.as_ref().is_some_and(|limited| limited.conflict.is_some());
-    let robots = |team: &'_ Team| -> Vec<RobotId> {
-        team.members.iter().map(|member| member.robot.clone()).collect()
-    };
     let unfilled = |teams: &Teams| -> usize {
-        let of_team = |team: &Team| {
-            let robots = robots(team);
-            rules.needs.unfilled_by(&team.id, &robots.iter().collect::<Vec<_>>())
-        };
+        let of_team = |team: &Team| rules.needs.unfilled_by(&team.id, &robots_of(team));
         teams.teams.iter().map(of_team).sum()
     };
     let placed: BTreeMap<RobotId, TeamId> =
         last.assignments().map(|(robot, team)| (robot.clone(), team.clone())).collect();
     let columns: Vec<TeamId> = last.teams.iter().map(|team| team.id.clone()).collect();
-    let admits = |team: &Team| {
-        let robots = robots(team);
-        rules.admits(&team.id, &team.id, &robots.iter().collect::<Vec<_>>(), &columns)
-    };
+    let admits = |team: &Team| rules.admits(&team.id, &team.id, &robots_of(team), &columns);
     !has_conflict
         && unfilled(last) <= unfilled(found)
         && found.assignments().count() == placed.len()
         && found.assignments().all(|(robot, _)| placed.contains_key(robot))
         && last.teams.iter().all(admits)
         && rules.grants_groups(&placed)
+}
+
+fn robots_of(team: &Team) -> Vec<&RobotId> {
+    team.members.iter().map(|member| &member.robot).collect()
 }
 
 /// Whether no two teams exchange their ids, at once or bit by bit: of more than two robots fewer went from one to the other
@@ -130,9 +125,12 @@ fn divide_once(job: &Job, rules: &TeamRules, search: Search) -> Result<Teams, Di
             ids.push(id.clone());
         }
     }
-    revive(job, rules, &all, stands, &mut ids);
+    let clusters = clusters_of(&embedding.robots, &all, ids.len());
+    let unassigned = embedding.robots.iter().zip(&all).filter(|(_, label)| label.is_none());
+    let unassigned: Vec<RobotId> = unassigned.map(|(robot, _)| robot.clone()).collect();
+    revive(job, rules, &clusters, &unassigned, stands, &mut ids);
     if !stands {
-        keep_left_out(job, rules, &all, &mut ids);
+        keep_left_out(job, rules, &clusters, &mut ids);
     }
     let x = vectors(embedding)?;
     let centroids = crate::division::means(&x, &all, ids.len())?;
@@ -150,19 +148,33 @@ fn divide_once(job: &Job, rules: &TeamRules, search: Search) -> Result<Teams, Di
     Ok(teams)
 }
 
+/// The robots of each of so many clusters.
+fn clusters_of<'a>(
+    robots: &'a [RobotId],
+    labels: &[Option<usize>],
+    count: usize,
+) -> Vec<Vec<&'a RobotId>> {
+    let mut clusters = vec![Vec::new(); count];
+    for (robot, label) in robots.iter().zip(labels) {
+        if let Some(label) = *label {
+            clusters[label].push(robot);
+        }
+    }
+    clusters
+}
+
 /// Gives clusters the ids of teams that were left out as fewer are made, where more of their robots were in such a team
 /// than in the one that they would become: which teams are left out is decided before it is known which robots stay
 /// together. Limits, needs and wishes of a team that is named are its own, so that its id goes to no other robots.
-fn keep_left_out(job: &Job, rules: &TeamRules, labels: &[Option<usize>], ids: &mut [TeamId]) {
+fn keep_left_out(job: &Job, rules: &TeamRules, clusters: &[Vec<&RobotId>], ids: &mut [TeamId]) {
     let Some(previous) = &job.previous else { return };
     let last: BTreeMap<&RobotId, &TeamId> = previous.assignments().collect();
-    let mut clusters: Vec<Vec<&RobotId>> = vec![Vec::new(); ids.len()];
+    let last_of =
+        |robot: &RobotId| last.get(robot).copied().or_else(|| job.memory.last_team(robot));
     let mut shared: BTreeMap<(usize, &TeamId), usize> = BTreeMap::new();
-    for (robot, label) in job.embedding.robots.iter().zip(labels) {
-        let Some(label) = *label else { continue };
-        clusters[label].push(robot);
-        if let Some(team) = last.get(robot).copied().or_else(|| job.memory.last_team(robot)) {
-            *shared.entry((label, team)).or_default() += 1;
+    for (cluster, robots) in clusters.iter().enumerate() {
+        for team in robots.iter().filter_map(|robot| last_of(robot)) {
+            *shared.entry((cluster, team)).or_default() += 1;
         }
     }
     let lives = |id: &TeamId| previous.teams.iter().any(|team| team.id == *id);
@@ -201,22 +213,14 @@ fn keep_left_out(job: &Job, rules: &TeamRules, labels: &[Option<usize>], ids: &m
 fn revive(
     job: &Job,
     rules: &TeamRules,
-    labels: &[Option<usize>],
+    clusters: &[Vec<&RobotId>],
+    unassigned: &[RobotId],
     stands: bool,
     ids: &mut [TeamId],
 ) {
-    let robots = &job.embedding.robots;
-    let mut clusters: Vec<Vec<&RobotId>> = vec![Vec::new(); ids.len()];
-    let mut unassigned = Vec::new();
-    for (robot, label) in robots.iter().zip(labels) {
-        match label {
-            Some(label) => clusters[*label].push(robot),
-            None => unassigned.push(robot.clone()),
-        }
-    }
     let living = job.previous.as_deref().map_or(&[][..], |previous| &previous.teams);
     let lives = |id: &TeamId| living.iter().any(|team| team.id == *id);
-    for (id, cluster, _) in job.memory.revivable(&clusters, &unassigned) {
+    for (id, cluster, _) in job.memory.revivable(clusters, unassigned) {
         // Also while no rules hold no team has more robots than it may have.
         let robots = clusters[cluster].len();
         let mut after = ids.to_vec();

@@ -260,20 +260,20 @@ fn it_is_written_when_teams_change_and_not_with_every_frame() {
 }
 
 #[test]
-fn a_standby_keeps_what_it_hears_and_takes_over_from_it() {
-    let (_, heard) = divided(settings(), &embedding(1, &ALL));
-    let mut numbered = Teams::clone(&heard);
+fn a_standby_keeps_what_it_receives_and_takes_over_from_it() {
+    let (_, received) = divided(settings(), &embedding(1, &ALL));
+    let mut numbered = Teams::clone(&received);
     numbered.next_team = 70;
-    let heard = Checked::new_unchecked(numbered);
+    let received = Checked::new_unchecked(numbered);
     let mut standby = Bench::new(settings());
     standby.input(Input::Started { linked: true });
-    standby.receive(mirrored(&heard));
-    assert_eq!(kept(&standby).teams, Some(heard.clone()));
+    standby.receive(mirrored(&received));
+    assert_eq!(kept(&standby).teams, Some(received.clone()));
     assert!(kept(&standby).reserved > 70);
     let mut next = restarted(settings(), &standby.kept.clone().unwrap());
     next.receive_embedding(&later(2, &ALL));
     next.wait(1.6);
-    assert!(next.division().same_division(&heard));
+    assert!(next.division().same_division(&received));
     // Forged messages must not take the numbers that are left: neither by the next one, nor by those of
     // teams that are away.
     let last = TeamId::numbered(u64::MAX);
@@ -283,18 +283,18 @@ fn a_standby_keeps_what_it_hears_and_takes_over_from_it() {
         |teams, last| teams.remembered.ended = vec![(last, vec![robot("r")])],
     ];
     for (epoch, forge) in (1..).zip(forgeries) {
-        let mut forged = Teams { header: header(9, epoch), ..Teams::clone(&heard) };
+        let mut forged = Teams { header: header(9, epoch), ..Teams::clone(&received) };
         forge(&mut forged, last.clone());
         standby.receive(mirrored(&Checked::new_unchecked(forged)));
         standby.wait(10.0);
         assert!(kept(&standby).reserved < 1000);
-        assert_eq!(kept(&standby).teams, Some(heard.clone()), "forgery {epoch} is kept");
+        assert_eq!(kept(&standby).teams, Some(received.clone()), "forgery {epoch} is kept");
     }
 }
 
 #[test]
 fn a_standby_gives_nobody_what_it_has_from_its_disk_alone() {
-    let (bench, heard) = divided(settings(), &embedding(1, &ALL));
+    let (bench, received) = divided(settings(), &embedding(1, &ALL));
     let mut standby = Bench::new(settings());
     standby.input(Input::Restored(bench.kept.clone().unwrap()));
     standby.now = START.before(testkit::START_RETRY_TIME);
@@ -307,7 +307,7 @@ fn a_standby_gives_nobody_what_it_has_from_its_disk_alone() {
     }))]);
     assert_eq!(standby.host.replica_state(), ReplicaState::Standby);
     assert_eq!(standby.get("teams", None).unwrap(), vec![]);
-    standby.receive(mirrored(&heard));
+    standby.receive(mirrored(&received));
     assert_eq!(standby.get("teams", None).unwrap().len(), 1);
 }
 
