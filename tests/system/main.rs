@@ -11,6 +11,7 @@ mod alerts;
 mod busy;
 mod cli;
 mod client;
+mod commands;
 mod conformance;
 mod console;
 mod dashboards;

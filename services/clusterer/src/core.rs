@@ -31,6 +31,7 @@ use muster_service::{
     Connectivity, Core, Delivery, Get, JobEnd, MemoryUse, ServedKey, SingleFlight, Stopwatch,
     Subscription, TooManyNames, Wiring, answer_teams,
 };
+use muster_wire::json::Problem;
 use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::dwell::{CountDwell, MoveDwell, TEAM_COUNT_DWELL};
@@ -412,7 +413,10 @@ impl Core for Clusterer {
 
     fn on_stand_down(&mut self, context: &mut Context<'_>) {
         for waiting in std::mem::take(&mut self.confirmations) {
-            context.reply_error(waiting.get, NO_LONGER_LEADS);
+            context.reply_error(
+                waiting.get,
+                Problem::unavailable("(wish)", NO_LONGER_LEADS).to_json(),
+            );
         }
         let mut keeping = std::mem::take(&mut self.keeping);
         keeping.next_team = keeping.next_team.max(self.memory.next_team);

@@ -23,7 +23,7 @@ use muster_service::Stopwatch;
 use muster_service::following::Frame;
 use muster_wire::kept::KeptShape;
 
-use crate::reasons::{self, explain};
+use crate::reasons::{self, Unexplained, explain};
 
 /// What an embedding rests on. As long as it stays the same, so does the embedding.
 #[derive(Debug, Clone, PartialEq)]
@@ -89,7 +89,7 @@ pub struct Done {
 pub(crate) enum Outcome {
     Embedded { frame: Arc<Frame>, basis: Box<Basis>, result: Result<Box<Computed>, MethodError> },
     Compared(Vec<Result<Pair, PairError>>),
-    Explained(Vec<Result<Why, String>>),
+    Explained(Vec<Result<Why, Unexplained>>),
 }
 
 /// What is kept from job to job.

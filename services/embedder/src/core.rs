@@ -27,7 +27,7 @@ use muster_wire::{Key, Message, Pattern, Request};
 use crate::compute::{Basis, Done, Job, Memory, Outcome, Task, run};
 use crate::doubt::Doubts;
 use crate::pairs::Questions;
-use crate::reasons::{self, ReasonQueue};
+use crate::reasons::{self, NO_EMBEDDING, ReasonQueue};
 use crate::shape::Shape;
 use crate::teams::TeamsWanted;
 
@@ -468,8 +468,7 @@ impl Embedder {
         // What was computed stays where there is nothing to answer by.
         let task = task.and_then(|task| Some((task, self.memory.take()?)));
         let Some((task, memory)) = task else {
-            let problem = "there is no embedding yet; ask again in a moment";
-            return self.reasons.refuse(problem, false, context);
+            return self.reasons.refuse(NO_EMBEDDING, false, context);
         };
         context.count("explanations_started");
         self.last_job = LastJob::Explanation;

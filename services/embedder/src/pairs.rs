@@ -34,13 +34,19 @@ struct Question {
 }
 
 impl Question {
-    fn answer(self, answer: Result<Vec<Message>, String>, context: &mut Context<'_, Embedder>) {
+    fn answer(self, answer: Result<Vec<Message>, PairError>, context: &mut Context<'_, Embedder>) {
         match answer {
             Ok(messages) => context.reply(self.get, messages),
-            Err(problem) => {
-                context.reply_error(self.get, Problem::new("katz", &problem).to_json());
+            Err(error @ PairError::NoEmbedding) => self.refuse(&error.to_string(), context),
+            Err(error) => {
+                context.reply_error(self.get, Problem::new("katz", &error.to_string()).to_json());
             }
         }
+    }
+
+    /// Refuses it for a reason that passes.
+    fn refuse(self, problem: &str, context: &mut Context<'_, Embedder>) {
+        context.reply_error(self.get, Problem::unavailable("katz", problem).to_json());
     }
 }
 
@@ -62,7 +68,7 @@ impl Questions {
             self.waiting.push(question);
         } else {
             let problem = format!("{MAX_WAITING_GETS} questions wait already; ask again later");
-            question.answer(Err(problem), context);
+            question.refuse(&problem, context);
         }
     }
 
@@ -83,7 +89,7 @@ impl Questions {
         let Some(header) = self.head.take() else { return };
         for (question, compared) in std::mem::take(&mut self.asked).into_iter().zip(answers) {
             let [from, to] = question.pair.clone();
-            let answer = compared.map_err(|error| error.to_string()).map(|pair| {
+            let answer = compared.map(|pair| {
                 let Pair { similarity, shares, alpha, method, residual } = pair;
                 let header = header.clone();
                 let pair = PairSimilarity {
@@ -107,7 +113,7 @@ impl Questions {
         self.head = None;
         let waiting = std::mem::take(&mut self.waiting);
         for question in std::mem::take(&mut self.asked).into_iter().chain(waiting) {
-            question.answer(Err(reason.to_owned()), context);
+            question.refuse(reason, context);
         }
     }
 }

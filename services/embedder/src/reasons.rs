@@ -18,7 +18,7 @@ use muster_service::{Context, Get};
 use muster_wire::json::Problem;
 use muster_wire::{Key, Message, Pattern};
 
-pub(crate) use explain::explain;
+pub(crate) use explain::{NO_EMBEDDING, Unexplained, explain};
 
 use crate::Embedder;
 use crate::core::EmbedderFetch;
@@ -73,13 +73,19 @@ struct Question {
 }
 
 impl Question {
-    fn answer(self, answer: Result<Why, String>, context: &mut Context<'_, Embedder>) {
+    fn answer(self, answer: Result<Why, Unexplained>, context: &mut Context<'_, Embedder>) {
         match answer {
             Ok(why) => context.reply(self.get, vec![Message::Why(Box::new(why))]),
-            Err(problem) => {
+            Err(Unexplained::NotYet(problem)) => self.refuse(&problem, context),
+            Err(Unexplained::Unknown(problem)) => {
                 context.reply_error(self.get, Problem::new("robot", &problem).to_json());
             }
         }
+    }
+
+    /// Refuses it for a reason that passes.
+    fn refuse(self, problem: &str, context: &mut Context<'_, Embedder>) {
+        context.reply_error(self.get, Problem::unavailable("robot", problem).to_json());
     }
 }
 
@@ -107,7 +113,7 @@ impl ReasonQueue {
         let question = Question { get, robot };
         if self.waiting.len() + self.ready.len() >= MAX_WAITING_REASONS {
             let problem = format!("{MAX_WAITING_REASONS} questions wait already; ask again later");
-            return question.answer(Err(problem), context);
+            return question.refuse(&problem, context);
         }
         self.waiting.push(question);
         if !std::mem::replace(&mut self.is_fetching, true) {
@@ -125,7 +131,7 @@ impl ReasonQueue {
         let Some(teams) = teams.max_by_key(|teams| teams.header.revision) else {
             for question in std::mem::take(&mut self.waiting) {
                 let problem = "there is no division yet: clusterer has not answered with one; see muster status";
-                question.answer(Err(problem.to_owned()), context);
+                question.refuse(problem, context);
             }
             return;
         };
@@ -166,7 +172,7 @@ impl ReasonQueue {
     /// Answers what was asked.
     pub(crate) fn answered(
         &mut self,
-        answers: Vec<Result<Why, String>>,
+        answers: Vec<Result<Why, Unexplained>>,
         context: &mut Context<'_, Embedder>,
     ) {
         for (question, answer) in std::mem::take(&mut self.asked).into_iter().zip(answers) {
@@ -185,7 +191,7 @@ impl ReasonQueue {
             refused.append(&mut self.waiting);
         }
         for question in refused {
-            question.answer(Err(reason.to_owned()), context);
+            question.refuse(reason, context);
         }
     }
 }

@@ -50,6 +50,13 @@ struct AckArgs {
     json: bool,
 }
 
+impl AlertsArgs {
+    /// The command that shows what this one changes; none if it changes nothing.
+    pub(crate) fn shown_by(&self) -> Option<&'static str> {
+        self.command.is_some().then_some("`muster alerts`")
+    }
+}
+
 /// Shows the open alerts, or acknowledges one.
 ///
 /// # Errors

@@ -51,7 +51,9 @@ pub(crate) fn exit_error(error: Error) -> ExitError {
             routers.join(", ")
         )),
         // `Error::Denied` is a failure: the service is there.
-        Error::Unanswered { .. } => ExitError::unreachable(error.to_string()),
+        Error::Unanswered { .. } | Error::Unavailable { .. } => {
+            ExitError::unreachable(error.to_string())
+        }
         other => ExitError { exit: Exit::Failure, message: other.to_string() },
     }
 }

@@ -185,7 +185,9 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Audit(args) => {
             console(&config, async |config| show::audit::run(args, &config).await)
         }
-        Command::Alerts(args) => console(&config, async |config| alerts::run(args, &config).await),
+        Command::Alerts(args) => {
+            commanding(&config, args.shown_by(), async |config| alerts::run(args, &config).await)
+        }
         Command::Graph(args) => {
             console(&config, async |config| show::graph::run(args, &config).await)
         }
@@ -199,12 +201,18 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Events(args) => console(&config, async |config| past::events(args, &config).await),
         Command::Robots(args) => console(&config, async |config| past::robots(args, &config).await),
         Command::Doctor(args) => console(&config, async |config| doctor::run(args, &config).await),
-        Command::Set(args) => console(&config, async |config| set::run(args, &config).await),
+        Command::Set(args) => {
+            commanding(&config, args.shown_by(), async |config| set::run(args, &config).await)
+        }
         Command::Tune(args) if args.has_file() => tune::of_file(args),
-        Command::Tune(args) => console(&config, async |config| tune::of_fleet(args, &config).await),
-        Command::Wish(args) => console(&config, async |config| wish::run(args, &config).await),
+        Command::Tune(args) => {
+            commanding(&config, args.shown_by(), async |config| tune::of_fleet(args, &config).await)
+        }
+        Command::Wish(args) => {
+            commanding(&config, args.shown_by(), async |config| wish::run(args, &config).await)
+        }
         Command::Propose(args) => {
-            console(&config, async |config| propose::run(args, &config).await)
+            commanding(&config, args.shown_by(), async |config| propose::run(args, &config).await)
         }
         Command::Probe(args) => probe::run(args, &config),
         Command::Record(args) => companions::run_mcap("record", args, &arguments.process),
@@ -232,10 +240,22 @@ fn console<F>(config: &ProcessConfig, job: F) -> anyhow::Result<()>
 where
     F: AsyncFnOnce(ProcessConfig) -> anyhow::Result<()>,
 {
+    commanding(config, None, job)
+}
+
+/// The same for one that may change something, which `shown_by` shows. Where a signal ends it, nobody knows whether it has.
+fn commanding<F>(config: &ProcessConfig, shown_by: Option<&str>, job: F) -> anyhow::Result<()>
+where
+    F: AsyncFnOnce(ProcessConfig) -> anyhow::Result<()>,
+{
     block_on(config, async |config, mut stop| {
         tokio::select! {
             result = job(config) => result,
-            () = stop.stopped() => Ok(()),
+            () = stop.stopped() => shown_by.map_or(Ok(()), |shown_by| {
+                let problem = "stopped before the answer came: it may be done or not";
+                let message = format!("{problem}; see {shown_by}");
+                Err(ExitError { exit: exit::Exit::Failure, message }.into())
+            }),
         }
     })
 }

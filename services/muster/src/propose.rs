@@ -139,6 +139,14 @@ fn weight(text: &str) -> Result<(Modality, f64), String> {
     Ok((name, number))
 }
 
+impl ProposeArgs {
+    /// The command that shows what this one changes; none if it changes nothing of the fleet.
+    pub(crate) fn shown_by(&self) -> Option<&'static str> {
+        matches!(self.action, Some(Action::Accept(_)))
+            .then_some("`muster set SERVICE` and `muster wish list`")
+    }
+}
+
 /// Asks for a proposal, shows, accepts or drops it.
 ///
 /// # Errors

@@ -31,6 +31,13 @@ pub(crate) struct SetArgs {
     json: bool,
 }
 
+impl SetArgs {
+    /// The command that shows what this one changes; none if it changes nothing.
+    pub(crate) fn shown_by(&self) -> Option<&'static str> {
+        (!self.assignments.is_empty()).then_some("`muster set SERVICE`")
+    }
+}
+
 /// Shows or changes settings.
 ///
 /// # Errors

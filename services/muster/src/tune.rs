@@ -51,6 +51,11 @@ pub(crate) struct TuneArgs {
 }
 
 impl TuneArgs {
+    /// The command that shows what this one changes; none if it changes nothing.
+    pub(crate) fn shown_by(&self) -> Option<&'static str> {
+        self.apply.then_some("`muster set embedder`")
+    }
+
     /// Whether the fleet is that of a file, and no bus is needed.
     pub(crate) fn has_file(&self) -> bool {
         self.file.is_some()

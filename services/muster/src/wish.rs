@@ -106,6 +106,13 @@ struct Withdraw {
     who: CommandArgs,
 }
 
+impl WishArgs {
+    /// The command that shows what this one changes; none if it changes nothing.
+    pub(crate) fn shown_by(&self) -> Option<&'static str> {
+        (!matches!(self.action, Action::List(_))).then_some("`muster wish list`")
+    }
+}
+
 /// Puts, withdraws or lists wishes.
 ///
 /// # Errors

@@ -17,6 +17,8 @@ use muster_service::{
     Connectivity, Core, Delivery, Get, JobEnd, MemoryUse, Newest, Recency, ServedKey, Stopwatch,
     Subscription, Wiring,
 };
+use muster_wire::command::STARTING;
+use muster_wire::json::Problem;
 use muster_wire::proposal::{ProposalChange, decode_request};
 use muster_wire::{Key, Message, Pattern};
 
@@ -345,11 +347,10 @@ impl Core for Planner {
             Some(Key::Proposal(operator, id)) => Some(Name { operator, id }),
             _ => None,
         };
-        let starting = "the planner is starting; ask again in a moment";
         match (name, get.request.payload.clone()) {
             (Some(_), _) if !context.has_term() => {
-                let error = SettingsError::new("(proposal)", starting);
-                context.reply_error(get, problem(&error));
+                let problem = Problem::unavailable("(proposal)", STARTING);
+                context.reply_error(get, problem.to_json());
             }
             (Some(name), Some(payload)) if get.request.is_exact() => {
                 self.change(context, get, &name, &payload);

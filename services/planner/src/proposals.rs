@@ -312,7 +312,7 @@ impl Proposals {
 
     /// Answers every waiting get with a reason, and forgets all proposals.
     pub(crate) fn refuse_all(&mut self, context: &mut PlannerContext<'_>, reason: &str) {
-        let error = problem(&refused(reason.to_owned()));
+        let error = Problem::unavailable("(proposal)", reason).to_json();
         for entry in std::mem::take(&mut self.all).into_values() {
             for waiting in entry.waiting {
                 context.reply_error(waiting.get, error.clone());

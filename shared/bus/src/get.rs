@@ -7,7 +7,7 @@ use muster_wire::{Key, Packet, Pattern};
 use tokio::sync::mpsc;
 use zenoh::Wait;
 use zenoh::qos::Priority;
-use zenoh::query::{ConsolidationMode, QueryTarget};
+use zenoh::query::{ConsolidationMode, QueryTarget, ReplyError};
 use zenoh::sample::Locality;
 
 use crate::bus::{Bus, LEASE_PRIORITY, MAX_ANSWERS};
@@ -23,6 +23,9 @@ const MAX_ERROR_BYTES: usize = 4096;
 /// The priority of gets, and so of their answers: they may be large, and must not delay what is published
 /// once.
 const ANSWER_PRIORITY: Priority = Priority::DataLow;
+
+/// The text by which Zenoh reports an answer that did not come in time.
+const TIMEOUT: &[u8] = b"Timeout";
 
 /// How a get is asked.
 #[derive(Debug, Clone, Copy)]
@@ -144,6 +147,7 @@ impl Bus {
             let asked = get.callback(move |reply| {
                 let answer = match reply.into_result() {
                     Ok(sample) => Answer::Packet(packet(&sample, limit)),
+                    Err(error) if is_timeout(&error) => return,
                     Err(error) => Answer::Error(error_text(error.payload())),
                 };
                 let _ = sender.try_send(answer);
@@ -152,6 +156,12 @@ impl Bus {
         });
         asking.await.context("asking failed")?
     }
+}
+
+/// Whether Zenoh itself says, in the place of an error reply, that an answer did not come in time. Session and router give
+/// it different encodings.
+fn is_timeout(error: &ReplyError) -> bool {
+    error.payload().to_bytes() == TIMEOUT
 }
 
 fn error_text(payload: &zenoh::bytes::ZBytes) -> String {

@@ -10,47 +10,33 @@ use muster_model::command::{Action, OperatorCommand};
 use muster_model::header::Revision;
 use muster_model::id::{CommandId, OperatorId, ServiceName, WishId};
 use muster_model::wish::{StandingWish, Wish};
-use muster_wire::command::STARTING;
-use muster_wire::{Key, Packet, Pattern};
+use muster_wire::{Key, Packet};
 use serde_json::{Map, Value};
 
 use crate::client::Client;
 use crate::error::Error;
-use crate::get::{ask_for, is_acknowledged, reason};
+use crate::get::{ask_for, is_acknowledged};
 use crate::reporter::wall_clock;
 
 /// How long a command may be carried out: longer than its answer is waited for, and shorter than anybody forgets what he
 /// has commanded.
 const VALID_TIME: Duration = Duration::from_secs(30);
 
-/// How long a service is asked again that is starting: it knows within about two seconds whether it leads.
-const START_TIME: Duration = Duration::from_secs(5);
+/// How long a command is sent again that a service cannot carry out now: one that starts, or hung, knows within about two
+/// seconds whether it leads, and a disk that is slow has stored what is being carried out.
+const UNAVAILABLE_TIME: Duration = Duration::from_secs(5);
 
-/// Time between two such questions.
-const START_PAUSE: Duration = Duration::from_millis(200);
-
-/// How a command was answered.
-enum Sent {
-    /// It was carried out: what came of it.
-    Answered(Value),
-    /// It was refused: the error reply.
-    Refused(String),
-    /// Nothing.
-    Unanswered,
-}
-
-/// Whether a command was refused because the service does not lead yet.
-fn is_starting(error: &str) -> bool {
-    error.contains(STARTING)
-}
+/// Time between two of these.
+const UNAVAILABLE_PAUSE: Duration = Duration::from_millis(200);
 
 impl Client {
     /// Commands a service, and returns what came of it, with the fields of the schema `command_outcome`. The command has an
     /// id of its own; however often the bus repeats it, it is carried out once. It is on the disk of the service then.
     ///
     /// # Errors
-    /// [`Error::Refused`] if the service refuses the command; the reason names the field. [`Error::Unanswered`] if it does
-    /// not run, [`Error::Denied`] if the rules of the router drop the command, [`Error::Bus`] if the bus fails.
+    /// [`Error::Refused`] if the service refuses the command; the reason names the field. [`Error::Unavailable`] if it
+    /// cannot carry it out now, [`Error::Unstored`] if it has, and could not store it. [`Error::Unanswered`] if it does not
+    /// run, [`Error::Denied`] if the rules of the router drop the command, [`Error::Bus`] if the bus fails.
     pub async fn command(
         &self,
         operator: &OperatorId,
@@ -63,37 +49,39 @@ impl Client {
         let command = OperatorCommand { sent, expires, based_on, action };
         let payload = serde_json::to_vec(&command).map_err(Error::bus)?;
         let key = Key::Command(service, operator.clone(), command_id(now.0)?);
-        let start = Instant::now();
+        let mut unavailable = None;
         loop {
-            match self.command_once(&key, &payload).await? {
-                Sent::Answered(outcome) => return Ok(outcome),
-                // The same command again is carried out once.
-                Sent::Refused(error) if is_starting(&error) && start.elapsed() < START_TIME => {
-                    tokio::time::sleep(START_PAUSE).await;
-                }
-                Sent::Refused(error) => {
-                    return Err(Error::Refused { service, reason: reason(&error) });
-                }
-                Sent::Unanswered => return Err(self.leader_unanswered(service, key).await),
+            let answered = self.command_once(service, &key, &payload).await;
+            let since: Instant = *unavailable.get_or_insert_with(Instant::now);
+            if !matches!(answered, Err(Error::Unavailable { .. }))
+                || since.elapsed() >= UNAVAILABLE_TIME
+            {
+                return answered;
             }
+            // The same command again is carried out once.
+            tokio::time::sleep(UNAVAILABLE_PAUSE).await;
         }
     }
 
     /// Sends a command and waits for its answer.
-    async fn command_once(&self, key: &Key, payload: &[u8]) -> Result<Sent, Error> {
+    async fn command_once(
+        &self,
+        service: ServiceName,
+        key: &Key,
+        payload: &[u8],
+    ) -> Result<Value, Error> {
         let ask = Ask { payload: Some(payload), ..ask_for("format=json", Target::Complete) };
-        let mut sent = Sent::Unanswered;
-        for answer in self.get(&Pattern::One(key.clone()), ask).await? {
+        let mut refused = None;
+        for answer in self.get_of_leader(service, key, ask).await? {
             match answer {
                 Answer::Packet(Packet { payload: Ok(payload), .. }) => {
-                    let outcome = serde_json::from_slice(&payload).map_err(Error::bus)?;
-                    return Ok(Sent::Answered(outcome));
+                    return serde_json::from_slice(&payload).map_err(Error::bus);
                 }
                 Answer::Packet(_) => {}
-                Answer::Error(error) => sent = Sent::Refused(error),
+                Answer::Error(error) => refused = Some(Error::reply(service, &error)),
             }
         }
-        Ok(sent)
+        Err(refused.unwrap_or_else(|| self.unanswered(key)))
     }
 
     /// Changes settings of a service, and returns all of them. The patch is a JSON object with the fields to change; it is

@@ -3,6 +3,9 @@
 use muster_bus::OpenError;
 use muster_model::id::{FleetId, IdError, RobotId, ServiceName};
 use muster_model::observation::ObservationError;
+use muster_wire::json::ProblemCode;
+use muster_wire::message::plain_reason;
+use serde_json::Value;
 
 use crate::propose::AppliedPart;
 
@@ -73,12 +76,28 @@ pub enum Error {
         /// What is wrong and what would be right, cut short, without control characters.
         reason: String,
     },
-    /// A part of a proposal was refused, so that it is not applied.
+    /// A service cannot do what was asked for now, and may in a moment.
+    #[error("{service} cannot do this now: {reason}")]
+    Unavailable {
+        /// The service.
+        service: ServiceName,
+        /// Why, cut short, without control characters.
+        reason: String,
+    },
+    /// A service has carried a command out, and could not store it.
+    #[error("{service} has done it, and a restart of it may forget that: {reason}")]
+    Unstored {
+        /// The service.
+        service: ServiceName,
+        /// Why, cut short, without control characters.
+        reason: String,
+    },
+    /// A part of a proposal was not carried out, so that it is not applied.
     #[error("the proposal is not applied: {reason}{}", left_text(left))]
     NotApplied {
-        /// Why one of its commands was refused.
+        /// Why one of its commands was not carried out.
         reason: Box<Error>,
-        /// What was applied before and could not be taken back.
+        /// What was applied and could not be taken back, or may have been.
         left: Vec<AppliedPart>,
     },
     /// The robot has left, or the client was closed.
@@ -97,7 +116,15 @@ fn left_text(left: &[AppliedPart]) -> String {
         return String::new();
     }
     let parts: Vec<String> = left.iter().map(ToString::to_string).collect();
-    format!("; what could not be taken back still holds: {}", parts.join(", "))
+    format!("; what could not be taken back may still hold: {}", parts.join(", "))
+}
+
+/// What an error reply says: its code, and the text fit for a terminal. Anybody may reply.
+fn problem(reply: &str) -> (ProblemCode, String) {
+    let value = serde_json::from_str::<Value>(reply).unwrap_or(Value::Null);
+    let text = value.get("error").and_then(Value::as_str).unwrap_or(reply);
+    let code = value.get("code").and_then(|code| serde_json::from_value(code.clone()).ok());
+    (code.unwrap_or(ProblemCode::Refused), plain_reason(text))
 }
 
 impl Error {
@@ -111,6 +138,16 @@ impl Error {
 
     pub(crate) fn bus(error: impl std::fmt::Display) -> Self {
         Self::Bus { reason: format!("{error:#}") }
+    }
+
+    /// The error reply of a service.
+    pub(crate) fn reply(service: ServiceName, reply: &str) -> Self {
+        let (code, reason) = problem(reply);
+        match code {
+            ProblemCode::Refused => Self::Refused { service, reason },
+            ProblemCode::Unavailable => Self::Unavailable { service, reason },
+            ProblemCode::Unstored => Self::Unstored { service, reason },
+        }
     }
 
     pub(crate) fn open(error: OpenError, routers: &[String]) -> Self {
@@ -128,5 +165,30 @@ impl Error {
 impl From<ObservationError> for Error {
     fn from(error: ObservationError) -> Self {
         Self::Input { field: error.field, problem: error.problem }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_reply_says_what_may_be_done() {
+        let error = |reply| Error::reply(ServiceName::Clusterer, reply);
+        let refused = error(r#"{"error": "teams: too few", "field": "teams", "code": "refused"}"#);
+        assert!(matches!(refused, Error::Refused { ref reason, .. } if reason == "teams: too few"));
+        let starting = error(r#"{"error": "(command): is starting", "code": "unavailable"}"#);
+        assert!(matches!(starting, Error::Unavailable { .. }), "{starting}");
+        let unstored = error(r#"{"error": "(wish): it counts", "code": "unstored"}"#);
+        assert!(matches!(unstored, Error::Unstored { .. }), "{unstored}");
+        // Anybody may reply with anything.
+        for reply in [r#"{"error": "x", "code": 7}"#, r#"{"code": "other"}"#, "null", "x"] {
+            assert!(matches!(error(reply), Error::Refused { .. }), "{reply}");
+        }
+        let plain = error("plain\u{1b}[2J");
+        assert!(matches!(plain, Error::Refused { ref reason, .. } if reason == "plain\u{FFFD}[2J"));
+        let long = error(&"x".repeat(10_000));
+        let is_short = |reason: &String| reason.len() == muster_wire::message::MAX_REASON;
+        assert!(matches!(long, Error::Refused { ref reason, .. } if is_short(reason)));
     }
 }

@@ -36,7 +36,9 @@ pub enum Staleness {
 pub struct Latest<T> {
     /// The content of the message.
     pub value: Arc<T>,
-    /// Why it may not be valid any more; none while it is.
+    /// Why it may not be valid any more; none while it is. The first message may be the reply of another service that has
+    /// kept it: where its publisher has ended, it is marked only once
+    /// [`Config::stale_after`](crate::Config::stale_after) has passed in silence.
     pub stale: Option<Staleness>,
     /// When it last arrived from its publisher, or was first received.
     pub received: Instant,

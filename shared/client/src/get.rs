@@ -18,7 +18,7 @@ use muster_model::status::ServiceStatus;
 use muster_model::teams::Teams;
 use muster_model::why::Why;
 use muster_model::wish::StandingWish;
-use muster_wire::message::{plain_reason, quoted};
+use muster_wire::message::quoted;
 use muster_wire::{Key, Message, Packet, Pattern};
 use serde_json::Value;
 
@@ -54,13 +54,6 @@ pub struct FleetPresence {
     pub services: usize,
     /// How many robots it has.
     pub robots: usize,
-}
-
-/// The reason in the error reply of a service.
-pub(crate) fn reason(error: &str) -> String {
-    let text = serde_json::from_str::<Value>(error).ok();
-    let text = text.as_ref().and_then(|value| value.get("error")?.as_str());
-    plain_reason(text.unwrap_or(error))
 }
 
 fn revision(message: &Message) -> Revision {
@@ -160,8 +153,8 @@ impl Client {
     /// may take seconds in a large fleet.
     ///
     /// # Errors
-    /// [`Error::Refused`] if `embedder` does not know a robot, [`Error::Unanswered`] if it does not run,
-    /// [`Error::Bus`] if the bus fails or the reply is not of this form.
+    /// [`Error::Refused`] if `embedder` does not know a robot, [`Error::Unavailable`] if there is no embedding yet,
+    /// [`Error::Unanswered`] if it does not run, [`Error::Bus`] if the bus fails or the reply is not of this form.
     pub async fn get_similarity(
         &self,
         from: &RobotId,
@@ -179,10 +172,7 @@ impl Client {
                 let pair = muster_wire::katz::decode(self.bus().space(), &packet, wall_clock());
                 pair.map_err(|refused| Error::bus(refused.reason))
             }
-            Some(Answer::Error(error)) => {
-                let service = ServiceName::Embedder;
-                Err(Error::Refused { service, reason: reason(&error) })
-            }
+            Some(Answer::Error(error)) => Err(Error::reply(ServiceName::Embedder, &error)),
             None => Err(self.unanswered("similarities")),
         }
     }
@@ -190,8 +180,8 @@ impl Client {
     /// Why a robot is in its team.
     ///
     /// # Errors
-    /// [`Error::Refused`] if the robot is unknown or in no team, or if there is no division yet, [`Error::Unanswered`] if
-    /// `embedder` does not run, [`Error::Bus`] if the bus fails or the reply is not of this form.
+    /// [`Error::Refused`] if the robot is unknown or in no team, [`Error::Unavailable`] if there is no division yet,
+    /// [`Error::Unanswered`] if `embedder` does not run, [`Error::Bus`] if the bus fails or the reply is not of this form.
     pub async fn get_reason(&self, robot: &RobotId) -> Result<Why, Error> {
         let ask = Ask {
             parameters: &format!("format=json;robot={robot}"),
@@ -205,10 +195,7 @@ impl Client {
                 let why = muster_wire::why::decode(self.bus().space(), &packet, wall_clock());
                 why.map_err(|refused| Error::bus(refused.reason))
             }
-            Some(Answer::Error(error)) => {
-                let service = ServiceName::Embedder;
-                Err(Error::Refused { service, reason: reason(&error) })
-            }
+            Some(Answer::Error(error)) => Err(Error::reply(ServiceName::Embedder, &error)),
             None => Err(self.unanswered("reasons")),
         }
     }
@@ -241,23 +228,43 @@ impl Client {
     /// The settings of a service, as the JSON object that `muster set SERVICE` shows.
     ///
     /// # Errors
-    /// [`Error::Unanswered`] if the service does not run, [`Error::Denied`] if it runs and the rules of the
-    /// router drop the get, [`Error::Bus`] if the bus fails or the reply is no JSON.
+    /// [`Error::Unanswered`] if the service does not run, [`Error::Unavailable`] if no instance of it leads yet,
+    /// [`Error::Denied`] if the rules of the router drop the get, [`Error::Bus`] if the bus fails or the reply is no JSON.
     pub async fn get_settings(&self, service: ServiceName) -> Result<Value, Error> {
-        self.settings_reply(service).await
+        let (key, ask) = (Key::Settings(service), ask_for("format=json", Target::Complete));
+        let mut refused = None;
+        for answer in self.get_of_leader(service, &key, ask).await? {
+            match answer {
+                Answer::Packet(Packet { payload: Ok(payload), .. }) => {
+                    return serde_json::from_slice(&payload).map_err(Error::bus);
+                }
+                Answer::Packet(_) => {}
+                Answer::Error(error) => refused = Some(Error::reply(service, &error)),
+            }
+        }
+        Err(refused.unwrap_or_else(|| self.unanswered(key)))
     }
 
-    /// All wishes of operators.
+    /// All wishes of operators; empty if none was put.
     ///
     /// # Errors
-    /// [`Error::Bus`] if the bus fails. Empty if nobody has put one, or the clusterer does not run.
+    /// [`Error::Unanswered`] if no one has a list and the clusterer does not run, [`Error::Bus`] if the bus fails.
     pub async fn get_wishes(&self) -> Result<Vec<StandingWish>, Error> {
         let all = self.messages(&Pattern::One(Key::Wishes)).await?;
-        let newest = all.into_iter().max_by_key(revision);
-        Ok(match newest {
-            Some(Message::Wishes(list)) => list.wishes.clone(),
-            _ => Vec::new(),
-        })
+        match all.into_iter().max_by_key(revision) {
+            Some(Message::Wishes(list)) => Ok(list.wishes.clone()),
+            _ => self.none_of(ServiceName::Clusterer, Key::Wishes).await,
+        }
+    }
+
+    /// Nothing, if a service that would have more runs.
+    pub(crate) async fn none_of<T>(
+        &self,
+        service: ServiceName,
+        key: impl ToString,
+    ) -> Result<Vec<T>, Error> {
+        let statuses = self.get_statuses(Some(service)).await?;
+        if statuses.is_empty() { Err(self.unanswered(key)) } else { Ok(Vec::new()) }
     }
 
     /// The running instances of services, by their liveliness tokens.
@@ -302,35 +309,38 @@ impl Client {
         Ok(fleets.into_values().collect())
     }
 
-    async fn settings_reply(&self, service: ServiceName) -> Result<Value, Error> {
-        let ask = ask_for("format=json", Target::Complete);
-        let mut refused = None;
-        for answer in self.get(&Pattern::One(Key::Settings(service)), ask).await? {
-            match answer {
-                Answer::Packet(Packet { payload: Ok(payload), .. }) => {
-                    return serde_json::from_slice(&payload).map_err(Error::bus);
-                }
-                Answer::Packet(_) => {}
-                Answer::Error(error) => {
-                    refused = Some(Error::Refused { service, reason: reason(&error) });
-                }
-            }
+    /// All answers to a get that only the leader of a service answers, one at least. It is sent once more if there was none
+    /// and the service answers for its status: a slow disk may have held the answer up until then. A router drops what its
+    /// rules deny without a word, also that.
+    ///
+    /// # Errors
+    /// [`Error::Unanswered`] if the service does not run, [`Error::Unavailable`] if it does and no instance leads,
+    /// [`Error::Denied`] if the leader answers other gets alone, [`Error::Bus`] if the bus fails.
+    pub(crate) async fn get_of_leader(
+        &self,
+        service: ServiceName,
+        key: &Key,
+        ask: Ask<'_>,
+    ) -> Result<Vec<Answer>, Error> {
+        let pattern = Pattern::One(key.clone());
+        let answers = self.get(&pattern, ask).await?;
+        if !answers.is_empty() {
+            return Ok(answers);
         }
-        match refused {
-            Some(refused) => Err(refused),
-            None => Err(self.leader_unanswered(service, Key::Settings(service)).await),
+        let statuses = self.get_statuses(Some(service)).await?;
+        if statuses.is_empty() {
+            return Err(self.unanswered(key));
         }
-    }
-
-    /// Why a leader does not answer. A router drops what its rules deny without a word; a leader that answers for its
-    /// status runs, and would answer for its other keys.
-    pub(crate) async fn leader_unanswered(&self, service: ServiceName, key: Key) -> Error {
-        let statuses = self.get_statuses(Some(service)).await.unwrap_or_default();
+        let answers = self.get(&pattern, ask).await?;
+        if !answers.is_empty() {
+            return Ok(answers);
+        }
         if statuses.iter().any(|status| status.standing == ReplicaState::Leading) {
             let fleet = self.bus().space().fleet().clone();
-            return Error::Denied { service, key: key.to_string(), fleet };
+            return Err(Error::Denied { service, key: key.to_string(), fleet });
         }
-        self.unanswered(key)
+        let reason = "no instance of it leads yet; ask again in a moment".to_owned();
+        Err(Error::Unavailable { service, reason })
     }
 
     async fn newest<T>(&self, key: Key, read: fn(Message) -> Option<T>) -> Result<T, Error> {
@@ -373,16 +383,4 @@ pub(crate) fn is_acknowledged(alerts: &Alerts, request: &AcknowledgeAlert) -> bo
 
 pub(crate) fn ask_for(parameters: &str, target: Target) -> Ask<'_> {
     Ask { parameters, payload: None, within: REPLY_TIMEOUT, further_within: None, target }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_reason_of_a_refusal_is_fit_for_a_terminal() {
-        assert_eq!(reason(r#"{"error": "teams: too few", "field": "teams"}"#), "teams: too few");
-        assert_eq!(reason("plain\u{1b}[2J"), "plain\u{FFFD}[2J");
-        assert_eq!(reason(&"x".repeat(10_000)).len(), muster_wire::message::MAX_REASON);
-    }
 }

@@ -7,7 +7,7 @@ use muster_wire::{Key, Pattern, history};
 
 use crate::client::Client;
 use crate::error::Error;
-use crate::get::{REPLY_TIMEOUT, reason};
+use crate::get::REPLY_TIMEOUT;
 
 impl Client {
     /// What the fleet was. Of several recordings, the one that begins first answers; as of a moment, the one
@@ -92,7 +92,7 @@ impl Client {
                 },
                 Answer::Error(error) => {
                     let service = ServiceName::Historian;
-                    refused = Some(Error::Refused { service, reason: reason(&error) });
+                    refused = Some(Error::reply(service, &error));
                 }
             }
         }

@@ -12,7 +12,7 @@ use serde_json::{Map, Value, json};
 
 use crate::client::Client;
 use crate::error::Error;
-use crate::get::{ask_for, reason};
+use crate::get::ask_for;
 use crate::reporter::wall_clock;
 
 /// How long the reply to one get of a proposal is waited for: the planner replies within three seconds, with how far it
@@ -117,10 +117,10 @@ impl Client {
         self.proposal_reply(operator, id, None).await
     }
 
-    /// All open proposals of an operator, ordered by id.
+    /// All open proposals of an operator, ordered by id; empty if there is none.
     ///
     /// # Errors
-    /// [`Error::Bus`] if the bus fails. Empty if there is none, or `planner` does not run.
+    /// [`Error::Unanswered`] if `planner` does not run, [`Error::Bus`] if the bus fails.
     pub async fn get_proposals(&self, operator: &OperatorId) -> Result<Vec<Proposal>, Error> {
         let pattern = Pattern::ProposalsOf(operator.clone());
         let mut found = Vec::new();
@@ -135,11 +135,12 @@ impl Client {
                         }
                     }
                 }
-                Answer::Error(error) => {
-                    let service = ServiceName::Planner;
-                    return Err(Error::Refused { service, reason: reason(&error) });
-                }
+                Answer::Error(error) => return Err(Error::reply(ServiceName::Planner, &error)),
             }
+        }
+        if found.is_empty() {
+            let key = format!("propose/{operator}/*");
+            return self.none_of(ServiceName::Planner, key).await;
         }
         found.sort_by(|left, right| left.id.cmp(&right.id));
         Ok(found)
@@ -158,12 +159,13 @@ impl Client {
     }
 
     /// Makes the fleet what a proposal says, by ordinary commands: a wish that keeps robots in reserve, and changes of
-    /// settings. The clusterer then divides the fleet as it is by then. If one of the commands is refused, those before
-    /// are taken back. An accepted proposal is dropped.
+    /// settings. The clusterer then divides the fleet as it is by then. If one of the commands is not carried out, those
+    /// before are taken back. An accepted proposal is dropped.
     ///
     /// # Errors
     /// [`Error::Refused`] if the proposal is not there or changes nothing, or if somebody has changed the same settings
-    /// since; [`Error::NotApplied`] if a command is refused, with what could not be taken back; otherwise as
+    /// since; [`Error::NotApplied`] if a command is refused or stays without an answer, with what could not be taken back;
+    /// [`Error::Unstored`] if the proposal is applied, and a service could not store its part; otherwise as
     /// [`Client::command`].
     pub async fn accept_proposal(
         &self,
@@ -187,10 +189,10 @@ impl Client {
             let other: Vec<_> = [second, first].into_iter().chain(rest).cloned().collect();
             result = self.apply(operator, division, &other).await;
         }
-        result?;
+        let unstored = result?;
         // It is forgotten anyway.
         let _ = self.drop_proposal(operator, id).await;
-        Ok(parts)
+        unstored.map_or(Ok(parts), Err)
     }
 
     /// Waits until a proposal is computed.
@@ -216,14 +218,14 @@ impl Client {
             ..ask_for("format=json", Target::Complete)
         };
         let service = ServiceName::Planner;
-        match self.get(&Pattern::One(key.clone()), ask).await?.into_iter().next() {
+        match self.get_of_leader(service, &key, ask).await?.into_iter().next() {
             Some(Answer::Packet(packet)) => {
                 let space = self.bus().space();
                 let report = muster_wire::proposal::decode(space, &packet, wall_clock());
                 report.map(|report| report.proposal).map_err(|refused| Error::bus(refused.reason))
             }
-            Some(Answer::Error(error)) => Err(Error::Refused { service, reason: reason(&error) }),
-            None => Err(self.leader_unanswered(service, key).await),
+            Some(Answer::Error(error)) => Err(Error::reply(service, &error)),
+            None => Err(self.unanswered(key)),
         }
     }
 
@@ -242,73 +244,110 @@ impl Client {
         Ok(())
     }
 
-    /// Applies the parts of a proposal in order, and takes those back that were applied if one is refused.
+    /// Applies the parts of a proposal in order, and takes those back that were applied, or may have been, if one is not.
+    /// Returns the error of a service that could not store its part.
     async fn apply(
         &self,
         operator: &OperatorId,
         division: &ProposedDivision,
         parts: &[AppliedPart],
-    ) -> Result<(), Error> {
-        let mut done = Vec::new();
+    ) -> Result<Option<Error>, Error> {
+        let (mut begun, mut unstored) = (Vec::new(), None);
         for part in parts {
-            match self.apply_one(operator, division, part).await {
-                Ok(undo) => done.push((undo, part)),
+            let undo = match self.undo_of(operator, division, part).await {
+                Ok(undo) => undo,
+                Err(error) => return Err(self.not_applied(operator, error, begun).await),
+            };
+            match self.carry_out(operator, division, part).await {
+                Ok(()) => {}
+                Err(error @ Error::Unstored { .. }) => unstored = Some(error),
+                // It has changed nothing.
+                Err(error @ (Error::Refused { .. } | Error::Denied { .. })) => {
+                    return Err(self.not_applied(operator, error, begun).await);
+                }
+                // Its answer did not come: it may have been carried out.
                 Err(error) => {
-                    let mut left = Vec::new();
-                    for (undo, part) in done.into_iter().rev() {
-                        if self.take_back(operator, undo).await.is_err() {
-                            left.push(part.clone());
-                        }
-                    }
-                    return Err(Error::NotApplied { reason: Box::new(error), left });
+                    begun.push((undo, part));
+                    return Err(self.not_applied(operator, error, begun).await);
                 }
             }
+            begun.push((undo, part));
         }
-        Ok(())
+        Ok(unstored)
     }
 
-    async fn apply_one(
+    /// How a part is taken back once it is applied.
+    async fn undo_of(
         &self,
         operator: &OperatorId,
         division: &ProposedDivision,
         part: &AppliedPart,
     ) -> Result<Undo, Error> {
-        let based_on = Some(division.based_on);
-        match part {
-            AppliedPart::Reserve { id, robots } => {
+        Ok(match part {
+            AppliedPart::Reserve { id, .. } => {
                 let is_it = |one: &StandingWish| one.operator == *operator && one.id == *id;
                 let before = self.get_wishes().await?.into_iter().find(is_it);
+                Undo::Wish(id.clone(), before.map(|one| Box::new(one.wish)))
+            }
+            AppliedPart::Settings { service, .. } => Undo::Settings(
+                *service,
+                division.replaces.get(service).cloned().unwrap_or_default(),
+            ),
+        })
+    }
+
+    async fn carry_out(
+        &self,
+        operator: &OperatorId,
+        division: &ProposedDivision,
+        part: &AppliedPart,
+    ) -> Result<(), Error> {
+        let (service, action) = match part {
+            AppliedPart::Reserve { id, robots } => {
                 let kind = WishKind::Reserve;
                 let robots = robots.clone();
                 let wish = Wish { kind, robots, team: None, expires: None, note: None };
                 let Ok(Value::Object(wish)) = serde_json::to_value(&wish) else {
                     return Err(Error::bus("a wish is no object"));
                 };
-                let action = Action::Wish { id: id.clone(), wish };
-                self.command(operator, ServiceName::Clusterer, action, based_on).await?;
-                Ok(Undo::Wish(id.clone(), before.map(|one| Box::new(one.wish))))
+                (ServiceName::Clusterer, Action::Wish { id: id.clone(), wish })
             }
-            AppliedPart::Settings { service, changed } => {
-                let before = division.replaces.get(service).cloned().unwrap_or_default();
-                self.command(operator, *service, Action::Set(changed.clone()), based_on).await?;
-                Ok(Undo::Settings(*service, before))
+            AppliedPart::Settings { service, changed } => (*service, Action::Set(changed.clone())),
+        };
+        self.command(operator, service, action, Some(division.based_on)).await.map(drop)
+    }
+
+    /// Takes parts back, the last first, as one of them was not carried out.
+    async fn not_applied(
+        &self,
+        operator: &OperatorId,
+        reason: Error,
+        begun: Vec<(Undo, &AppliedPart)>,
+    ) -> Error {
+        let mut left = Vec::new();
+        for (undo, part) in begun.into_iter().rev() {
+            match self.take_back(operator, undo).await {
+                // What is not stored is taken back for now, and is stored as soon as the disk works.
+                Ok(()) | Err(Error::Unstored { .. }) => {}
+                Err(_) => left.push(part.clone()),
             }
         }
+        Error::NotApplied { reason: Box::new(reason), left }
     }
 
     async fn take_back(&self, operator: &OperatorId, undo: Undo) -> Result<(), Error> {
         match undo {
-            Undo::Wish(id, Some(before)) => {
-                self.put_wish(operator, &id, &before).await?;
-            }
-            Undo::Wish(id, None) => {
-                self.withdraw_wish(operator, &id).await?;
-            }
+            Undo::Wish(id, Some(before)) => self.put_wish(operator, &id, &before).await.map(drop),
+            Undo::Wish(id, None) => match self.withdraw_wish(operator, &id).await {
+                // It was not put.
+                Err(Error::Refused { .. }) => Ok(()),
+                withdrawn => withdrawn.map(drop),
+            },
             Undo::Settings(service, before) => {
-                self.change_settings(operator, service, &Value::Object(before)).await?;
+                let before = Value::Object(before);
+                self.change_settings(operator, service, &before).await.map(drop)
             }
         }
-        Ok(())
     }
 }
 
@@ -367,6 +406,6 @@ mod tests {
         let parts = parts(&proposal(json!({"teams": 3}))).unwrap();
         let reason = Box::new(refused("no".to_owned()));
         let text = Error::NotApplied { reason, left: parts }.to_string();
-        assert!(text.ends_with("still holds: settings of clusterer: {\"teams\":3}"), "{text}");
+        assert!(text.ends_with("may still hold: settings of clusterer: {\"teams\":3}"), "{text}");
     }
 }

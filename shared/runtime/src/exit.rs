@@ -12,7 +12,7 @@ pub enum Exit {
     Failure = 1,
     /// A flag, a file or a setting is wrong.
     Usage = 2,
-    /// The bus cannot be reached, or no answer came.
+    /// The bus cannot be reached, no answer came, or a service cannot do it now.
     Unreachable = 3,
     /// Nothing satisfies what is asked of the teams.
     Conflict = 4,
@@ -25,8 +25,8 @@ impl From<Exit> for ExitCode {
 }
 
 /// Their part of `--help`.
-pub const HELP: &str = "Exit codes: 0 done, or stopped by a signal; 1 something failed while running; \
-2 a flag, file or setting is wrong; 3 the bus cannot be reached or no answer came; 4 nothing satisfies the limits, wishes and needs of a solve.";
+pub const HELP: &str = "Exit codes: 0 done, or stopped by a signal; 1 something failed while running, or a change was stopped before its answer; \
+2 a flag, file or setting is wrong; 3 the bus cannot be reached, no answer came, or a service cannot do it now; 4 nothing satisfies the limits, wishes and needs of a solve.";
 
 /// An error that knows its exit code.
 #[derive(Debug, thiserror::Error)]

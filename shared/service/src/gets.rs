@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use muster_wire::json::Problem;
 use muster_wire::{KeySpace, Message, Request};
 
 use crate::io::{GetId, Reply};
@@ -49,7 +50,8 @@ impl Gets {
     /// The text of an error if too many wait.
     pub(crate) fn open(&mut self, id: GetId, request: Request) -> Result<Get, String> {
         if self.open.len() >= MAX_OPEN_GETS || self.held.len() >= MAX_HELD_REPLIES {
-            return Err(problem_json("(get)", "too many gets wait for an answer; ask again later"));
+            let problem = "too many gets wait for an answer; ask again later";
+            return Err(Problem::unavailable("(get)", problem).to_json());
         }
         self.open.insert(id, request.clone());
         Ok(Get { id, request })
@@ -92,7 +94,7 @@ impl Gets {
             held.stores_before = held.stores_before.saturating_sub(1);
             if let Some(error) = error.filter(|_| held.confirms_store && held.stores_before == 0) {
                 let problem = format!("hold now, but will not survive a restart: {error}");
-                held.reply.answer = Err(problem_json("(settings)", &problem));
+                held.reply.answer = Err(Problem::unstored("(settings)", &problem).to_json());
                 held.reply.messages.clear();
             }
         }

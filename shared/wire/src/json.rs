@@ -28,7 +28,7 @@ use muster_model::why::{Reason, Why};
 use muster_model::wish::{StandingWish, WishList, WishReport};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::ser::SerializeMap;
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Map, Value, json};
 
 use crate::packet::MAX_REASON;
@@ -777,6 +777,18 @@ impl EdgeJson for Why {
     }
 }
 
+/// What a refusal is worth to whoever asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ProblemCode {
+    /// What was sent is wrong, or is not there. The same again is refused again.
+    Refused,
+    /// The service cannot do it now. The same may be sent again in a moment.
+    Unavailable,
+    /// It is done, and is not on the disk: a restart forgets it.
+    Unstored,
+}
+
 /// Why a get is refused: the answer of the kind that Zenoh calls an error reply.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct Problem<'a> {
@@ -784,13 +796,33 @@ pub struct Problem<'a> {
     error: String,
     /// The path of the field, with dots; in parentheses where it is no field of the content.
     field: &'a str,
+    /// What whoever asked may do.
+    code: ProblemCode,
 }
 
 impl<'a> Problem<'a> {
     /// A problem with one field.
     #[must_use]
     pub fn new(field: &'a str, problem: &str) -> Self {
-        Self { error: format!("{field}: {problem}"), field }
+        Self::with_code(ProblemCode::Refused, field, problem)
+    }
+
+    /// A problem that passes.
+    #[must_use]
+    pub fn unavailable(field: &'a str, problem: &str) -> Self {
+        Self::with_code(ProblemCode::Unavailable, field, problem)
+    }
+
+    /// What was asked for is done, and could not be stored.
+    #[must_use]
+    pub fn unstored(field: &'a str, problem: &str) -> Self {
+        Self::with_code(ProblemCode::Unstored, field, problem)
+    }
+
+    /// A problem of any kind.
+    #[must_use]
+    pub fn with_code(code: ProblemCode, field: &'a str, problem: &str) -> Self {
+        Self { error: format!("{field}: {problem}"), field, code }
     }
 
     /// The JSON form.

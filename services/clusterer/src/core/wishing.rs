@@ -11,7 +11,8 @@ use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_model::wish::{StandingWish, WishList, WishReport, WishState};
 use muster_service::Get;
-use muster_wire::json::Problem;
+use muster_wire::command::STARTING;
+use muster_wire::json::{Problem, ProblemCode};
 use muster_wire::wish::{WishChange, changed_by, decode};
 use muster_wire::{Key, Message, Request};
 
@@ -22,7 +23,7 @@ use crate::wishes::{WishBook, WishName};
 const REPUBLISH_TIME: Duration = Duration::from_secs(2);
 
 /// What an operator reads who waited for a wish to be on disk when the instance stood down.
-pub(super) const NO_LONGER_LEADS: &str = "(wish): another instance leads now; ask again";
+pub(super) const NO_LONGER_LEADS: &str = "another instance leads now; ask again";
 
 /// Somebody waits until a wish is on disk.
 #[derive(Debug)]
@@ -35,12 +36,13 @@ pub(super) struct Confirmation {
 
 /// What is wrong with a change, as its field and the problem.
 struct Refusal {
+    code: ProblemCode,
     field: String,
     problem: String,
 }
 
 fn refusal<T>(field: &str, problem: impl Into<String>) -> Result<T, Refusal> {
-    Err(Refusal { field: field.to_owned(), problem: problem.into() })
+    Err(Refusal { code: ProblemCode::Refused, field: field.to_owned(), problem: problem.into() })
 }
 
 impl Clusterer {
@@ -71,8 +73,8 @@ impl Clusterer {
                 }
                 self.consider(context);
             }
-            Err(Refusal { field, problem }) => {
-                context.reply_error(get, Problem::new(&field, &problem).to_json());
+            Err(Refusal { code, field, problem }) => {
+                context.reply_error(get, Problem::with_code(code, &field, &problem).to_json());
             }
         }
     }
@@ -108,9 +110,15 @@ impl Clusterer {
         payload: &[u8],
     ) -> Result<(WishBook, StandingWish), Refusal> {
         if !context.has_term() {
-            return refusal("(wish)", "the clusterer is starting; ask again in a moment");
+            return Err(Refusal {
+                code: ProblemCode::Unavailable,
+                field: "(wish)".to_owned(),
+                problem: STARTING.to_owned(),
+            });
         }
-        let wrong = |error: SettingsError| Refusal { field: error.field, problem: error.problem };
+        let code = ProblemCode::Refused;
+        let wrong =
+            |error: SettingsError| Refusal { code, field: error.field, problem: error.problem };
         let mut book = self.wishes.clone();
         let wish = match decode(payload).map_err(wrong)? {
             WishChange::Put(wish) => wish,
@@ -155,7 +163,7 @@ impl Clusterer {
                 context.reply(get, vec![Message::Wish(Box::new(report))]);
             } else {
                 let problem = "it counts, and could not be stored: a restart forgets it";
-                context.reply_error(get, Problem::new("(wish)", problem).to_json());
+                context.reply_error(get, Problem::unstored("(wish)", problem).to_json());
             }
         }
     }

@@ -14,15 +14,27 @@ use muster_model::wish::{StandingWish, WishKind, WishState};
 
 use super::{Material, Task};
 
+/// What is answered before there is an embedding.
+pub(crate) const NO_EMBEDDING: &str = "there is no embedding yet; ask again in a moment";
+
+/// Why there is no reason.
+#[derive(Debug)]
+pub(crate) enum Unexplained {
+    /// There is none yet.
+    NotYet(String),
+    /// There is none for such a robot.
+    Unknown(String),
+}
+
 /// Why each robot is in its team, or why there is no answer.
 pub(crate) fn explain(
     frames: &Frames,
     vectors: Option<&Vectors>,
     task: &Task,
-) -> Vec<Result<Why, String>> {
+) -> Vec<Result<Why, Unexplained>> {
     let Some(Vectors { svd, power, rows }) = vectors else {
-        let problem = "there is no embedding yet; ask again in a moment";
-        return task.robots.iter().map(|_| Err(problem.to_owned())).collect();
+        let none = |_| Err(Unexplained::NotYet(NO_EMBEDDING.to_owned()));
+        return task.robots.iter().map(none).collect();
     };
     let teams = &*task.material.teams;
     let places: BTreeMap<&RobotId, usize> = teams
@@ -43,9 +55,9 @@ pub(crate) fn explain(
         };
         let team = &teams.teams[*number].id;
         let Some(attraction) = attraction else {
-            return Err(format!(
+            return Err(Unexplained::Unknown(format!(
                 "by the newest graphs nothing relates {robot} to the other robots; its team {team} rests on older ones"
-            ));
+            )));
         };
         let reason = reason(robot, *number, attraction, task);
         Ok(Why { header: task.embedding.header.clone(), reason: reason.decided() })
@@ -54,13 +66,15 @@ pub(crate) fn explain(
 }
 
 /// Why a robot has no team that could be explained.
-fn without_team(robot: &RobotId, task: &Task, is_known: bool) -> String {
+fn without_team(robot: &RobotId, task: &Task, is_known: bool) -> Unexplained {
     let Material { teams, wishes, .. } = &*task.material;
     if teams.unassigned.binary_search(robot).is_err() {
         return if is_known {
-            format!("{robot} is not in the last division yet; ask again in a moment")
+            let problem = "is not in the last division yet; ask again in a moment";
+            Unexplained::NotYet(format!("{robot} {problem}"))
         } else {
-            format!("{robot} is not a robot of the fleet; muster status lists the robots")
+            let problem = "is not a robot of the fleet; muster status lists the robots";
+            Unexplained::Unknown(format!("{robot} {problem}"))
         };
     }
     let keeps = |one: &&StandingWish| {
@@ -69,20 +83,22 @@ fn without_team(robot: &RobotId, task: &Task, is_known: bool) -> String {
     };
     if let Some(one) = wishes.iter().find(keeps) {
         let (operator, id) = (&one.operator, &one.id);
-        return format!("{robot} is in no team: the wish {operator}/{id} keeps it in reserve");
+        let why = format!("the wish {operator}/{id} keeps it in reserve");
+        return Unexplained::Unknown(format!("{robot} is in no team: {why}"));
     }
     let embedding = &*task.embedding;
     let row = embedding.robots.binary_search(robot).ok();
     let is_related =
         row.and_then(|row| embedding.without_embedding.get(row)).is_some_and(|without| !without);
     let conflict = teams.limited.as_ref().and_then(|limited| limited.conflict.as_ref());
-    match conflict.filter(|_| is_related) {
-        Some(conflict) => format!("{robot} is in no team: the limits leave no place: {conflict}"),
-        None => format!(
-            "{robot} is in no team: nothing relates it to the other robots, or only to such as are apart from \
-             all teams"
-        ),
-    }
+    let why = match conflict.filter(|_| is_related) {
+        Some(conflict) => format!("the limits leave no place: {conflict}"),
+        None => {
+            "nothing relates it to the other robots, or only to such as are apart from all teams"
+                .to_owned()
+        }
+    };
+    Unexplained::Unknown(format!("{robot} is in no team: {why}"))
 }
 
 /// Whether a wish still counts.

@@ -258,7 +258,12 @@ async fn settings<S: DeserializeOwned>(
 ) -> Result<Option<S>, Error> {
     match client.get_settings(service).await {
         Ok(settings) => Ok(serde_json::from_value(settings).ok()),
-        Err(Error::Unanswered { .. } | Error::Refused { .. } | Error::Denied { .. }) => Ok(None),
+        Err(
+            Error::Unanswered { .. }
+            | Error::Unavailable { .. }
+            | Error::Refused { .. }
+            | Error::Denied { .. },
+        ) => Ok(None),
         Err(error) => Err(error),
     }
 }

@@ -201,7 +201,7 @@ async fn ask(
         answer.before = next.before;
         append(&mut answer.rows, next.rows);
     }
-    truncate(&mut answer.rows, wanted);
+    keep_first(&mut answer, wanted);
     Ok(answer)
 }
 
@@ -222,8 +222,13 @@ fn count(rows: &Rows) -> usize {
     each_list!(rows, list => list.len(), 1)
 }
 
-fn truncate(rows: &mut Rows, wanted: usize) {
-    each_list!(rows, list => list.truncate(wanted), ());
+/// Keeps as many rows as wanted. The further ones begin behind the last of them.
+fn keep_first(answer: &mut HistoryAnswer, wanted: usize) {
+    if count(&answer.rows) > wanted {
+        each_list!(&mut answer.rows, list => list.truncate(wanted), ());
+        let last = each_list!(&answer.rows, list => list.last().map(|row| row.sequence), None);
+        answer.before = last.or(answer.before);
+    }
 }
 
 fn append(rows: &mut Rows, more: Rows) {

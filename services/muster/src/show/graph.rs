@@ -5,7 +5,8 @@ use std::sync::Arc;
 use muster_client::{Client, Error};
 use muster_model::embedding::EmbeddingGraph;
 use muster_model::graph::GraphDelta;
-use muster_model::id::{Modality, RobotId};
+use muster_model::id::{Modality, RobotId, ServiceName};
+use muster_model::role::ReplicaState;
 use muster_model::time::Tick;
 use muster_runtime::config::ProcessConfig;
 use muster_wire::json::EdgeJson;
@@ -47,11 +48,19 @@ pub(crate) async fn run(args: &GraphArgs, config: &ProcessConfig) -> anyhow::Res
     }
     let modality = args.modality.clone();
     let first = graphs(client.clone(), modality.clone()).await.map_err(exit_error)?;
+    if !is_published(&client).await.map_err(exit_error)? {
+        eprintln!("ingest does not answer: this is what was received from it last");
+    }
     if args.show.watch {
         let asking = client.clone();
         let ask = move || {
-            let asked = graphs(asking.clone(), modality.clone());
-            async move { reply(asked.await) }
+            let (client, asked) = (asking.clone(), graphs(asking.clone(), modality.clone()));
+            async move {
+                // Whoever has received graphs answers for an ingest that has ended.
+                let (published, asked) = tokio::join!(is_published(&client), asked);
+                let asked = reply(asked)?;
+                Ok(if published? { asked } else { None })
+            }
         };
         return follow(&client, Polled::start(&client, first, ask), args.show.json).await;
     }
@@ -67,6 +76,12 @@ struct Graphs {
     embedded: Vec<EmbeddingGraph>,
     /// Whether one modality was asked for, edge by edge.
     edges: bool,
+}
+
+/// Whether an ingest leads that publishes graphs.
+async fn is_published(client: &Client) -> Result<bool, Error> {
+    let statuses = client.get_statuses(Some(ServiceName::Ingest)).await?;
+    Ok(statuses.iter().any(|status| status.standing == ReplicaState::Leading))
 }
 
 async fn graphs(client: Client, modality: Option<Modality>) -> Result<Graphs, Error> {

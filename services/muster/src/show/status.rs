@@ -52,7 +52,8 @@ pub(crate) async fn run(args: &ShowArgs, config: &ProcessConfig) -> anyhow::Resu
         let (asking, fleet) = (client.clone(), fleet.clone());
         let ask = move || {
             let asked = status(asking.clone(), fleet.clone());
-            async move { asked.await.map(Some) }
+            // A link that is cut answers with nothing for a while before it counts as lost.
+            async move { Ok(Some(asked.await?).filter(|status| !status.is_empty())) }
         };
         return follow(&client, Polled::start(&client, first, ask), args.json).await;
     }
@@ -99,6 +100,11 @@ pub(crate) fn role(standing: ReplicaState) -> &'static str {
 }
 
 impl FleetStatus {
+    /// Whether nothing of the fleet answers.
+    fn is_empty(&self) -> bool {
+        self.services.is_empty() && self.silent.is_empty() && self.joined == 0
+    }
+
     fn absent(&self) -> Vec<ServiceName> {
         let absent =
             |name: &ServiceName| !self.services.iter().any(|status| status.service == *name);

@@ -213,7 +213,10 @@ enum News {
 fn news<T: Shown>(before: Option<&Latest<T>>, latest: &Latest<T>) -> News {
     match before {
         None => News::Content,
-        Some(before) if !before.value.same(&latest.value) => News::Content,
+        // The same once more is old, also of what never counts as the same.
+        Some(before) if before.received != latest.received && !before.value.same(&latest.value) => {
+            News::Content
+        }
         Some(before) if before.stale != latest.stale => News::Staleness,
         Some(_) => News::Nothing,
     }
@@ -255,6 +258,9 @@ mod tests {
         assert_eq!(news(Some(&first), &latest(1, silent)), News::Staleness);
         assert_eq!(news(Some(&latest(1, silent)), &latest(1, None)), News::Staleness);
         assert_eq!(news(Some(&first), &latest(2, silent)), News::Content);
+        // What is kept in silence is no news again, even if it never counts as the same.
+        let kept = Latest { value: Arc::new(Number(2)), stale: silent, received: first.received };
+        assert_eq!(news(Some(&first), &kept), News::Staleness);
     }
 
     #[test]

@@ -10,6 +10,7 @@ use muster_model::settings::Settings;
 use muster_model::wish::MAX_EXPIRY_S;
 use muster_wire::command::{STARTING, carried_out_by, decode, remembered};
 use muster_wire::envelope::AnnouncedSettings;
+use muster_wire::json::{Problem, ProblemCode};
 use muster_wire::{Key, Message, Packet, Request};
 
 use super::Host;
@@ -171,20 +172,20 @@ impl<C: Core> Host<C> {
     /// Checks a command and begins it. Returns the request that carries it out.
     fn begin_command(&mut self, get: &Get, name: CommandName) -> Result<Request, NotBegun> {
         let facilities = &mut self.facilities;
-        let refused =
-            |field: &str, problem: &str| Err(NotBegun::Refused(problem_json(field, problem)));
+        let refused = |problem: Problem<'_>| Err(NotBegun::Refused(problem.to_json()));
         if !facilities.replica.election.has_term() {
-            return refused("(command)", STARTING);
+            return refused(Problem::unavailable("(command)", STARTING));
         }
         match facilities.operator_commands.admit(facilities.now, &name) {
             Admission::New => {}
             Admission::Known(outcome) => return Err(NotBegun::Known(outcome)),
             Admission::Pending => {
-                return refused("(command)", "is being carried out; ask again in a moment");
+                let problem = "is being carried out; ask again in a moment";
+                return refused(Problem::unavailable("(command)", problem));
             }
             Admission::Full => {
-                let problem =
-                    problem_json("(command)", "too many commands within ten minutes; wait a while");
+                let problem = "too many commands within ten minutes; wait a while";
+                let problem = Problem::unavailable("(command)", problem).to_json();
                 let refusal = Refusal { command: None, problem, may_be_repeated: true };
                 return Err(NotBegun::Refused(facilities.report_refusal(&name, refusal).1));
             }
@@ -200,15 +201,17 @@ impl<C: Core> Host<C> {
         };
         let term = facilities.replica.revision().term;
         if let Err(wrong) = command.check(C::SERVICE, facilities.now, term) {
-            let problem = problem_json(wrong.field, &wrong.problem);
             let may_be_repeated = wrong.passes();
+            let code =
+                if may_be_repeated { ProblemCode::Unavailable } else { ProblemCode::Refused };
+            let problem = Problem::with_code(code, wrong.field, &wrong.problem).to_json();
             let refusal = Refusal { command: Some(&command), problem, may_be_repeated };
             return Err(NotBegun::Refused(facilities.refuse_command(&name, refusal)));
         }
         let (key, payload) = carried_out_by(C::SERVICE, &name.0, &command.action);
         let text = facilities.replica.space.format(&key);
         let Ok(request) = Request::new(text, "format=json", Some(payload)) else {
-            return refused("(command)", "has no form on the bus");
+            return refused(Problem::new("(command)", "has no form on the bus"));
         };
         facilities.gets.exchange(get.id, request.clone());
         facilities.replica.add("commands", 1);
