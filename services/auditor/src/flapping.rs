@@ -93,6 +93,8 @@ pub(crate) struct FlappingWindow {
     tracks: BTreeMap<RobotId, Track>,
     /// How many robots changed teams, and when.
     changes: VecDeque<Changes>,
+    /// Until when another leader watched that has raised an alert; what it saw is not known here.
+    taken_over: Option<Tick>,
 }
 
 /// Robots that changed teams at once.
@@ -103,6 +105,16 @@ struct Changes {
 }
 
 impl FlappingWindow {
+    /// Another leader has watched until now, and raised an alert that is open.
+    pub(crate) fn take_over(&mut self, now: Tick) {
+        self.taken_over = Some(now);
+    }
+
+    /// Whether changes that another leader saw may lie within the window: low rates prove nothing then.
+    pub(crate) fn is_partial(&self, now: Tick) -> bool {
+        self.taken_over.is_some_and(|since| now.since(since) < FLAPPING_WINDOW)
+    }
+
     /// Accepts the next division, received at a moment that is not before the last one.
     pub(crate) fn observe(&mut self, now: Tick, teams: Checked<Teams>) {
         self.forget(now);

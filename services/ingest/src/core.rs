@@ -97,6 +97,8 @@ impl Ingest {
             }
             self.frames.touch_members(now);
             self.departures.returned(robot);
+            self.presence_events.hasten(now, robot);
+            self.report_presence(context);
             report_joined(context, robot.clone());
         }
         if change.roster {

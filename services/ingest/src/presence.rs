@@ -44,6 +44,13 @@ impl PresenceEvents {
         self.due = self.due.filter(|_| !self.waiting.is_empty());
     }
 
+    /// Lets what waits be due where a robot is among those that have left: it joins again, and events are read in order.
+    pub(crate) fn hasten(&mut self, now: Tick, robot: &RobotId) {
+        if self.waiting.get(&Transition::Left).is_some_and(|left| left.contains(robot)) {
+            self.due = Some(now);
+        }
+    }
+
     /// When the next events are due.
     pub(crate) fn due(&self) -> Option<Tick> {
         self.due
@@ -142,6 +149,17 @@ mod tests {
         events.add(NOW, robot(1), Transition::Stale, false);
         let alone = EventKind::RobotStale { robot: robot(1) };
         assert_eq!(events.take(NOW), [(Severity::Warning, alone)]);
+    }
+
+    #[test]
+    fn a_robot_that_returns_is_reported_as_gone_before() {
+        let mut events = PresenceEvents::default();
+        events.add(NOW, robot(1), Transition::Left, true);
+        events.hasten(NOW, &robot(2));
+        assert!(events.take(NOW).is_empty());
+        events.hasten(NOW, &robot(1));
+        let gone = EventKind::RobotLeft { robot: robot(1) };
+        assert_eq!(events.take(NOW), [(Severity::Warning, gone)]);
     }
 
     #[test]

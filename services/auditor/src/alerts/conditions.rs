@@ -38,11 +38,27 @@ pub(crate) fn of_teams(
         observed(AlertKind::Stale, &|audit, team| Some(stale(audit, team, teams, settings))),
         observed(AlertKind::Lacking, &|audit, _| Some(lacking(audit, teams))),
     ];
-    if audits.iter().any(|audit| audit.radio.is_some()) {
-        found.push(observed(AlertKind::CutOff, &|audit, _| cut_off(audit, settings)));
-        found.push(observed(AlertKind::Fragile, &|audit, _| fragile(audit, settings)));
-    }
+    // Without a link in the whole fleet nothing is known of any team; alerts of teams that are gone end all the same.
+    let is_known = audits.iter().any(|audit| audit.radio.is_some());
+    found.push(observed(AlertKind::CutOff, &|audit, _| {
+        if is_known { cut_off(audit, settings) } else { Some(unknown(audit)) }
+    }));
+    found.push(observed(AlertKind::Fragile, &|audit, _| {
+        if is_known { fragile(audit, settings) } else { Some(unknown(audit)) }
+    }));
     found
+}
+
+/// A team of which nothing is known: an open alert stays open, and none is raised.
+fn unknown(audit: &TeamAudit) -> Condition {
+    Condition {
+        subject: subject(audit),
+        wanted: Wanted::Neither,
+        value: 0.0,
+        threshold: 0.0,
+        reason: String::new(),
+        robots: Vec::new(),
+    }
 }
 
 fn subject(audit: &TeamAudit) -> AlertSubject {

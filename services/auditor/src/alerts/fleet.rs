@@ -57,15 +57,17 @@ pub(crate) struct FlappingAlert {
 }
 
 impl FlappingAlert {
-    /// Accepts the current rate.
+    /// Accepts the current rate. One of a partial window ends no alert.
     pub(crate) fn observe(
         &mut self,
         flapping: Flapping,
+        is_partial: bool,
         settings: &AuditorSettings,
     ) -> Option<EventKind> {
         let Flapping { returns_per_robot_minute, .. } = flapping;
         if self.raised {
-            if returns_per_robot_minute > settings.flapping * settings.alert_release {
+            let release = settings.flapping * settings.alert_release;
+            if returns_per_robot_minute > release || is_partial {
                 return None;
             }
             self.raised = false;
@@ -158,7 +160,7 @@ mod tests {
             let robot = RobotId::new("r").unwrap();
             let robots = vec![RobotReturns { robot, returns: *returns }];
             let flapping = Flapping { returns_per_robot_minute: *rate, robots };
-            match alert.observe(flapping, settings) {
+            match alert.observe(flapping, false, settings) {
                 Some(EventKind::Flapping { robots, .. }) if robots.len() == 1 => '!',
                 Some(EventKind::FlappingEnded { .. }) => 'o',
                 Some(_) => '?',

@@ -38,12 +38,14 @@ impl Auditor {
         if !context.is_leading() {
             return;
         }
+        let is_partial = self.flapping.is_partial(context.now());
         let flapping = self.flapping.flapping(context.now());
         let value = flapping.returns_per_robot_minute;
         let robots: Vec<_> = flapping.robots.iter().map(|entry| entry.robot.clone()).collect();
         let settings = context.settings();
         let threshold = settings.flapping;
-        let Some(kind) = self.flapping_alert.observe(flapping, settings) else { return };
+        let observed = self.flapping_alert.observe(flapping, is_partial, settings);
+        let Some(kind) = observed else { return };
         let reason =
             format!("robots change back into a team {value:.2} times per robot and minute");
         let condition = Condition { robots, ..fleet_condition(value, threshold, reason) };
@@ -88,7 +90,10 @@ impl Auditor {
         for of in observed {
             self.book.observe(now, of.kind, of.conditions);
         }
-        let churn = of_churn(self.flapping.changes(now), &settings);
+        let mut churn = of_churn(self.flapping.changes(now), &settings);
+        if churn.wanted == Wanted::Clear && self.flapping.is_partial(now) {
+            churn.wanted = Wanted::Neither;
+        }
         self.book.observe(now, AlertKind::Churn, vec![churn]);
         self.advance_alerts(context);
     }
@@ -177,6 +182,9 @@ impl Auditor {
         }
         let is_open = |kind| self.book.is_open(kind, &AlertSubject::Fleet);
         let (poor, flapping) = (is_open(AlertKind::Poor), is_open(AlertKind::Flapping));
+        if flapping || is_open(AlertKind::Churn) {
+            self.flapping.take_over(context.now());
+        }
         self.alert.inherit(poor);
         self.flapping_alert.inherit(flapping);
         self.publish_alerts(context);

@@ -58,6 +58,19 @@ fn a_team_that_is_cut_off_raises_one_alert_that_ends() {
 }
 
 #[test]
+fn the_alert_of_a_team_that_is_gone_ends_where_no_links_are_known() {
+    let mut bench = cut_off();
+    bench.receive(graph(2, "connectivity", &[]));
+    bench.receive(frame_roster(2, &["connectivity"], &[]));
+    bench.receive(with_stale(teams(3, 1, TWO, ""), &["c"]));
+    bench.wait(9.0);
+    assert_eq!(open(&mut bench), ["1 cut_off t1"], "nothing is known of t1");
+    bench.receive(teams(4, 1, &[("t2", "e f"), ("t3", "a b c d")], ""));
+    bench.wait(3.0);
+    assert!(open(&mut bench).is_empty());
+}
+
+#[test]
 fn a_leader_that_is_silent_and_many_stale_robots_and_a_fragile_team_raise_alerts() {
     let mut bench = with_graphs();
     bench.receive(with_stale(teams(2, 1, TWO, ""), &["e"]));

@@ -1,5 +1,7 @@
 //! Robots that change teams to and fro: what the audit says of them, and the alert.
 
+use muster_model::alert::AlertKind;
+
 use super::*;
 
 /// One that has scored a division of four robots, and receives `count` more, one each second: b goes to and
@@ -74,6 +76,21 @@ fn another_threshold_raises_or_ends_the_alert_at_once() {
     assert_eq!(alerts(&mut bench), ["3.00 b", "ended 3.000"]);
     bench.get("service/auditor/settings", Some(r#"{"flapping": 2.9}"#)).unwrap();
     assert_eq!(alerts(&mut bench).len(), 3);
+}
+
+#[test]
+fn the_alert_of_an_earlier_leader_does_not_end_before_its_changes_are_out_of_the_window() {
+    let mut first = flapping(3);
+    let list = first.read().alerts.clone().unwrap();
+    assert!(list.open.iter().any(|alert| alert.kind == AlertKind::Flapping));
+    let mut bench = Bench::leading(vec![Message::Alerts(list)]);
+    bench.forget_events();
+    bench.receive(embedding(1, FOUR));
+    bench.receive(teams(9, 1, PAIRS, ""));
+    bench.wait(58.0);
+    assert!(alerts(&mut bench).is_empty(), "{:?}", bench.events());
+    bench.wait(4.0);
+    assert_eq!(alerts(&mut bench), ["ended 0.000"]);
 }
 
 #[test]
