@@ -133,11 +133,15 @@ pub fn divide_within(
         return grouped(x, limits, found.centroids, 1.0);
     }
     let before = means(x, &labels, &found.centroids)?;
-    let warm = grouped(x, limits, before, 1.0 - params.hysteresis)?;
+    let warm = grouped(x, limits, before, 1.0 - params.hysteresis);
     if refine_only {
-        return Ok(warm);
+        return warm;
     }
-    let cold = grouped(x, limits, found.centroids, 1.0)?;
+    let (warm, cold) = match (warm, grouped(x, limits, found.centroids, 1.0)) {
+        (Ok(warm), Ok(cold)) => (warm, cold),
+        // A search that was cut short finds nothing; the other one does.
+        (found @ Ok(_), Err(_)) | (Err(_), found) => return found,
+    };
     let order = |found: &Division| {
         let filled = found.labels.iter().flatten().collect::<BTreeSet<_>>().len();
         (shortfall(limits.rules, limits.groups, &found.labels), Reverse(filled))
@@ -361,6 +365,25 @@ mod tests {
         // Robots in one place are one team, and a group of all cannot be two.
         assert_eq!(teams_of(&[1.0, 1.0, 1.0], 2, &[0, 1]), 1);
         assert_eq!(teams_of(&[0.0, 1.0, 10.0], 2, &[0, 1, 2]), 1);
+    }
+
+    #[test]
+    fn a_team_that_is_closed_takes_the_room_of_no_other() {
+        let x = line(&[0.0, 0.0, 10.0, 10.0]);
+        let rules = rules(4, &[Bounds::ANY, Bounds::ANY, Bounds::new(0, 0)], None);
+        let together = |robots: [usize; 2]| Wish {
+            relation: Relation::Together,
+            robots: robots.to_vec(),
+            price: None,
+        };
+        let wishes = vec![together([0, 2]), together([1, 3])];
+        let groups = Wishes { wishes, ..Wishes::default() }.check(&rules).unwrap();
+        let params = DivisionParams { teams: 3, ..DivisionParams::default() }.check().unwrap();
+        let limits =
+            Limits { rules: &rules, groups: &groups, previous: &[None; 4], refine_only: false };
+        let found = divide_within(&x, &params, &limits).unwrap();
+        let teams: BTreeSet<_> = found.labels.iter().flatten().collect();
+        assert_eq!(teams.len(), 2, "{:?}", found.labels);
     }
 
     #[test]

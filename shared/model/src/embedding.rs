@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::content::{Content, ContentError, refuse};
 use crate::header::{Header, Revision};
 use crate::id::{Modality, RobotId};
+use crate::settings::MAX_DIMENSION;
 
 /// Which way the embedding was computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -129,6 +130,10 @@ impl Content for Embedding {
         }
         if self.provisional.len() != robots {
             return refuse("provisional", "must have one entry per robot");
+        }
+        // Readers allocate by it, also where there are no robots.
+        if self.dimension > MAX_DIMENSION {
+            return refuse("dimension", "must be at most the largest setting");
         }
         if robots.checked_mul(self.dimension as usize) != Some(self.values.len()) {
             return refuse("values", "must have one row of the dimension's length per robot");

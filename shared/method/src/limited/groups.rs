@@ -31,7 +31,7 @@ pub(super) fn grouped(
 ) -> Result<Division, LimitedError> {
     let mut found = assigned(x, limits, centroids, keep)?;
     let empty = empty_teams(limits, &found.labels);
-    let filled = limits.rules.get().teams.len() - empty.len();
+    let filled = found.labels.iter().flatten().collect::<BTreeSet<_>>().len();
     let room = most_teams(x, limits).saturating_sub(filled).min(empty.len());
     if room == 0 {
         return Ok(found);
@@ -117,7 +117,13 @@ fn assigned(
             if stays { keep } else { 1.0 }
         })?;
         let rules = limits.rules;
-        let found = assign_with_wishes(&mut assigner, rules, limits.groups, &costs, NODE_BUDGET)?;
+        let found = assign_with_wishes(&mut assigner, rules, limits.groups, &costs, NODE_BUDGET);
+        let found = match found {
+            Ok(found) => found,
+            // The search was cut short. What was found before satisfies all that is asked.
+            Err(_) if !labels.is_empty() => break,
+            Err(error) => return Err(error.into()),
+        };
         let team = |column: &Column| match column {
             Column::Team(team) => Some(*team),
             Column::Reserve => None,
