@@ -24,6 +24,6 @@ pub mod shell;
 mod testkit;
 
 pub use crate::core::{
-    BrowserId, Command, Console, Fetch, Input, Output, ProposalOrder, ProposalStep, Question, Role,
-    Stale, Ticket, frame, limits, proposal,
+    BrowserId, Command, Console, Fetch, Input, Output, Problem, ProblemKind, ProposalOrder,
+    ProposalStep, Question, Role, Stale, Ticket, frame, limits, proposal,
 };

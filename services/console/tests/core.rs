@@ -13,11 +13,12 @@ use std::time::Duration;
 
 use muster_console::limits::{
     LOST_FOR, MAX_BROWSERS, MAX_COMMANDS_PER_MINUTE, MAX_LINKS_SHOWN, MAX_MESSAGE_BYTES,
-    MAX_MESSAGES_PER_SECOND, MAX_PENDING, MAX_REPLY_BYTES, MAX_TURN_BYTES, MAX_WAITING_BYTES,
-    STALLED_AFTER,
+    MAX_MESSAGES_PER_SECOND, MAX_PENDING, MAX_QUESTIONS_PER_MINUTE, MAX_REPLY_BYTES,
+    MAX_TURN_BYTES, MAX_WAITING_BYTES, STALLED_AFTER,
 };
 use muster_console::{
-    BrowserId, Command, Console, Fetch, Input, Output, ProposalOrder, ProposalStep, Role, frame,
+    BrowserId, Command, Console, Fetch, Input, Output, Problem, ProblemKind, ProposalOrder,
+    ProposalStep, Role, frame,
 };
 use muster_model::command::Action;
 use muster_model::graph::{GraphDelta, GraphRow};
@@ -345,13 +346,42 @@ fn an_operator_commands_under_the_own_name_and_hears_what_came_of_it() {
     let [(ticket, command)] = &commands(&outputs)[..] else { panic!("{outputs:?}") };
     assert_eq!(command.operator.as_str(), "kim");
     assert!(matches!(&command.action, Action::Set(patch) if patch["teams"] == 3));
-    let outputs = bench.give(Input::Answer(*ticket, Err("teams: must be 1 to 9".to_owned())));
+    let outputs =
+        bench.give(Input::Answer(*ticket, Err(Problem::refused("teams: must be 1 to 9"))));
     let (texts, _) = bench.draw(1, outputs);
     assert_eq!(topic(&texts, "reply"), [&json!({"id": 7, "refused": "teams: must be 1 to 9"})]);
     // After a command, what it may have changed is asked for at once.
     assert!(bench.outputs.contains(&Output::Fetch(Fetch::Settings)));
     // The answer comes once.
     assert!(bench.give(Input::Answer(*ticket, Ok(json!({})))).is_empty());
+}
+
+#[test]
+fn a_browser_learns_what_may_have_come_of_a_command() {
+    let mut bench = Bench::new();
+    let outputs = bench.give(Input::Opened(1, kim()));
+    bench.draw(1, outputs);
+    for (id, kind, field) in [
+        (1, ProblemKind::Refused, "refused"),
+        (2, ProblemKind::Unavailable, "unavailable"),
+        (3, ProblemKind::Unstored, "unstored"),
+        (4, ProblemKind::Unknown, "unknown"),
+    ] {
+        let sent = bench.text(1, &set_teams(id));
+        let (ticket, _) = commands(&sent).remove(0);
+        let problem = Problem { kind, reason: "the disk\u{1b} is full".to_owned() };
+        let outputs = bench.give(Input::Answer(ticket, Err(problem)));
+        let (texts, _) = bench.draw(1, [sent, outputs].concat());
+        let wanted = json!({"id": id, (field): "the disk\u{fffd} is full"});
+        assert_eq!(topic(&texts, "reply"), [&wanted]);
+    }
+    // What was done is not refused because there is no room for its answer.
+    let long = json!("x".repeat(MAX_REPLY_BYTES));
+    let sent = bench.text(1, &set_teams(5));
+    let (ticket, _) = commands(&sent).remove(0);
+    let outputs = bench.give(Input::Answer(ticket, Ok(long)));
+    let (texts, _) = bench.draw(1, [sent, outputs].concat());
+    assert_eq!(topic(&texts, "reply"), [&json!({"id": 5, "answer": null})]);
 }
 
 #[test]
@@ -451,6 +481,41 @@ fn commands_are_bounded_and_need_a_link() {
     bench.pass(Duration::from_secs(60));
     bench.give(Input::Link(false));
     assert!(commands(&bench.text(1, &set_teams(300))).is_empty());
+}
+
+#[test]
+fn who_looks_at_many_robots_can_still_command() {
+    let why = |id: u32| json!({"ask": {"id": id, "why": "r00001"}});
+    let asked = |outputs: &[Output]| -> Vec<u64> {
+        let ticket = |output: &Output| match output {
+            Output::Ask(ticket, _) => Some(*ticket),
+            _ => None,
+        };
+        outputs.iter().filter_map(ticket).collect()
+    };
+    let mut bench = Bench::new();
+    bench.give(Input::Opened(1, kim()));
+    let mut sent = 0;
+    for id in 0..2 * MAX_QUESTIONS_PER_MINUTE {
+        // The messages of a browser have a limit of their own.
+        if id % 100 == 0 {
+            bench.pass(Duration::from_millis(500));
+        }
+        for ticket in asked(&bench.text(1, &why(id))) {
+            sent += 1;
+            bench.give(Input::Answer(ticket, Ok(Value::Null)));
+        }
+    }
+    assert!((MAX_QUESTIONS_PER_MINUTE..MAX_QUESTIONS_PER_MINUTE + 10).contains(&sent), "{sent}");
+    let outputs = bench.text(1, &set_teams(1000));
+    let [(ticket, _)] = commands(&outputs)[..] else { panic!("{outputs:?}") };
+    bench.give(Input::Answer(ticket, Ok(Value::Null)));
+    // Nor do questions without an answer hold a command up, or the other way round.
+    bench.pass(Duration::from_secs(60));
+    let waiting: usize = (0..40).map(|id| asked(&bench.text(1, &why(2000 + id))).len()).sum();
+    assert_eq!(waiting, MAX_PENDING);
+    let sent: usize = (0..40).map(|id| commands(&bench.text(1, &set_teams(3000 + id))).len()).sum();
+    assert_eq!(sent, MAX_PENDING);
 }
 
 #[test]

@@ -210,6 +210,39 @@ fn a_token_is_exchanged_for_a_cookie_that_scripts_do_not_see() {
 }
 
 #[test]
+fn a_websocket_ends_with_the_session_under_which_it_was_opened() {
+    let served = Served::start(Some(&format!("[[viewer]]\ntoken = \"{WALL}\"\n")));
+    let origin = served.origin();
+    let body = format!("{{\"token\": \"{WALL}\"}}");
+    let open = || {
+        let (head, _) = served.ask("POST /session", &[&origin], &body);
+        let cookie = field(&head, "set-cookie").unwrap().split(';').next().unwrap();
+        let session = format!("Cookie: {cookie}");
+        let mut stream = TcpStream::connect(&served.address).unwrap();
+        let head = format!(
+            "GET /live HTTP/1.1\r\nHost: {}\r\n{origin}\r\n{session}\r\nConnection: Upgrade\r\n\
+             Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n",
+            served.address
+        );
+        stream.write_all(head.as_bytes()).unwrap();
+        (stream, session)
+    };
+    let (mut ended, session) = open();
+    let (mut other, _) = open();
+    assert_eq!(status(&served.ask("DELETE /session", &[&origin, &session], "").0), 200);
+    // Without a message of its browser.
+    ended.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    let mut rest = Vec::new();
+    ended.read_to_end(&mut rest).expect("it is closed");
+    assert!(rest.starts_with(b"HTTP/1.1 101"), "{}", String::from_utf8_lossy(&rest));
+    let reason = b"the session has ended";
+    assert!(rest.windows(reason.len()).any(|part| part == reason));
+    // That of another session stays open.
+    other.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
+    assert!(other.read_to_end(&mut rest).is_err());
+}
+
+#[test]
 fn a_message_that_is_too_long_ends_the_browser_and_not_the_console() {
     let served = Served::start(None);
     let mut stream = TcpStream::connect(&served.address).unwrap();

@@ -61,7 +61,8 @@ function banner() {
         const why = idle.length ? `No ${idle.join(", no ")} leads: ` : "";
         return h("p", { class: "banner stale", role: "status" }, `${why}the division rests on data of ${age(behind)} ago and may be old.`);
     }
-    if (state.problem) return h("p", { class: "banner stale", role: "status" }, state.problem);
+    const [problem] = state.problems.values();
+    if (problem) return h("p", { class: "banner stale", role: "status" }, problem);
     return null;
 }
 

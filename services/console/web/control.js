@@ -11,6 +11,22 @@ import { Component, h } from "./vendor/preact.js";
 const KINDS = ["pin", "ban", "together", "apart", "lock", "reserve"];
 /** Most robots of a wish. */
 const MAX_ROBOTS = 64;
+/** Longest id of a wish that is made of its names alone; a longer one is cut, and ends with a checksum of all of them. */
+const MAX_NAMED_ID = 48;
+
+/** The checksum FNV-1a of 64 bits. @param {string} text */
+const checksum = (text) => new TextEncoder().encode(text).reduce((/** @type {bigint} */ sum, byte) =>
+    BigInt.asUintN(64, (sum ^ BigInt(byte)) * 0x100000001b3n), 0xcbf29ce484222325n);
+
+/**
+ * The id of a wish out of all its names, as `muster wish` makes it: the same wish is put once, and no other takes its place.
+ * @param {string} kind @param {string[]} robots @param {string | null} team
+ */
+export function wishId(kind, robots, team) {
+    const text = [kind, ...robots, team].filter(Boolean).join("-");
+    if (text.length <= MAX_NAMED_ID) return text;
+    return `${text.slice(0, MAX_NAMED_ID)}-${(checksum(text) >> 32n).toString(16).padStart(8, "0")}`;
+}
 
 const fleetSize = () => `${state.robots.length} robots`;
 
@@ -209,7 +225,7 @@ class Wishes extends Component {
         const where = ["pin", "ban", "lock"].includes(kind) ? (team || state.teams?.teams?.[0]?.id) : null;
         const wish = { kind, robots, ...(where ? { team: where } : {}), ...(note ? { note } : {}),
             ...(minutes ? { expires: now() + 60 * Number(minutes) } : {}) };
-        const id = `${kind}-${[...robots.slice(0, 3), where].filter(Boolean).join("-")}`.slice(0, 64);
+        const id = wishId(kind, robots, where);
         const go = () => command(`${kind} ${robots.join(" ")} ${where ?? ""}`, "clusterer", { wish: { id, wish } }, [{ service: "clusterer", action: { withdraw: { id } } }]);
         // What holds a whole team, or takes robots out of the fleet, is asked twice.
         if (kind === "lock" || kind === "reserve" || robots.length > 1) confirmThen(`${kind} ${robots.join(", ")} ${where ?? ""}?`, go);
@@ -253,7 +269,7 @@ async function takeBack(order) {
 function orders() {
     return h("section", { "aria-labelledby": "orders-title" },
         h("h2", { id: "orders-title" }, "Commands of this page"),
-        h("ol", { id: "orders", "aria-live": "polite" }, state.orders.map((one) => h("li", { key: one.id, "data-order": one.state, class: one.state === "refused" || one.state === "unknown" ? "warn" : "" },
+        h("ol", { id: "orders", "aria-live": "polite" }, state.orders.map((one) => h("li", { key: one.id, "data-order": one.state, class: one.reason ? "warn" : "" },
             h("span", { class: "dim" }, `${clock(one.at)} `), `${one.what}: `, h("strong", {}, one.state),
             one.reason ? ` – ${one.reason}` : "", one.state === "unknown" ? "; what the services say now is shown above" : "", " ",
             one.state === "done" && one.undo.length ? h("button", { type: "button", disabled: !canCommand(), "aria-label": `Undo ${one.what}`, onClick: () =>

@@ -10,6 +10,24 @@ export const MAX_LINK_ROBOTS = 400;
 /** A hidden page is not drawn; it is kept up to date this often all the same. */
 const HIDDEN_DRAW = 1000;
 
+/**
+ * What may have come of what has no answer: nothing, nothing for now, it holds and a restart may forget it, or no one knows.
+ * @typedef {"refused" | "unavailable" | "unstored" | "unknown"} Kind
+ */
+/** @type {Kind[]} */
+const KINDS = ["refused", "unavailable", "unstored", "unknown"];
+/** How a command is shown of which that is known. @type {Record<Kind, "done" | "refused" | "unknown">} */
+const STATES = { refused: "refused", unavailable: "refused", unstored: "done", unknown: "unknown" };
+
+/** Why there is no answer. */
+class Problem extends Error {
+    /** @param {Kind} kind @param {string} reason */
+    constructor(kind, reason) {
+        super(reason);
+        this.kind = kind;
+    }
+}
+
 /** @type {WebSocket | null} */
 let socket = null;
 let wait = FIRST_WAIT;
@@ -59,7 +77,7 @@ async function reconnect() {
         state.socket = "closed";
         state.link = false;
         // No one knows whether these were carried out. What the services say after the next start decides.
-        for (const { reject } of open.values()) reject(new Error("the console was lost before an answer came"));
+        for (const { reject } of open.values()) reject(new Problem("unknown", "the console was lost before an answer came"));
         open.clear();
         changed();
         again();
@@ -104,7 +122,8 @@ export function sendView() {
 function settle(reply) {
     const waiting = open.get(reply.id);
     open.delete(reply.id);
-    if (reply.refused !== undefined) waiting?.reject(new Error(reply.refused));
+    const kind = KINDS.find((one) => reply[one] !== undefined);
+    if (kind) waiting?.reject(new Problem(kind, reply[kind]));
     else waiting?.resolve(reply.answer);
 }
 
@@ -115,7 +134,7 @@ function request(kind, content, isCommand) {
         open.set(id, { resolve, reject, isCommand });
         if (!send({ [kind]: { id, ...content } })) {
             open.delete(id);
-            reject(new Error("the console is not reached; nothing was sent"));
+            reject(new Problem("refused", "the console is not reached; nothing was sent"));
         }
     });
 }
@@ -131,21 +150,22 @@ export const propose = (name, step) => request("propose", { name, step }, step =
  * services say then.
  * @param {string} what in words
  * @param {() => Promise<any>} send
- * @param {(answer: any) => {service: string, action: any}[]} undo what takes it back
+ * @param {(answer: any) => {service: string, action: any}[]} undo what takes it back; it is given no answer where that could
+ * not be stored or is too long
  */
 export async function carryOut(what, send, undo) {
     /** @type {import("./state.js").Order} */
     const order = { id: next, what, state: "pending", reason: "", undo: [], at: now() };
     addOrder(order);
-    const wasOpen = state.socket === "open";
     try {
         const answer = await send();
         order.state = "done";
         order.undo = undo(answer);
     } catch (error) {
-        const reason = error instanceof Error ? error.message : String(error);
-        order.state = wasOpen && reason.startsWith("the console was lost") ? "unknown" : "refused";
-        order.reason = reason;
+        // Whatever else goes wrong does so before anything is sent.
+        order.state = error instanceof Problem ? STATES[error.kind] : "refused";
+        order.reason = error instanceof Error ? error.message : String(error);
+        if (order.state === "done") order.undo = undo(null);
     }
     changed();
     return order;

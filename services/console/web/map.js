@@ -494,9 +494,10 @@ export class MapView extends Component {
         try {
             painter = new Painter(/** @type {HTMLCanvasElement} */ (canvas));
             painted = "";
+            state.problems.delete("map");
             draw();
         } catch (error) {
-            state.problem = String(error);
+            state.problems.set("map", String(error));
             changed();
         }
     }

@@ -16,7 +16,7 @@ import { EMBEDDING, GROUND, LINKS, readFrame } from "./frame.js";
  * @property {number} id
  * @property {string} what
  * @property {"pending" | "done" | "refused" | "unknown"} state
- * @property {string} reason
+ * @property {string} reason why; with one that is done, a warning
  * @property {{service: string, action: any}[]} undo what takes it back, in this order; none where nothing does
  * @property {number} at
  */
@@ -66,7 +66,7 @@ export const state = {
     /** @type {number[][]} moment, then the lines of the charts */
     samples: [[], [], [], [], []],
     /** @type {Map<string, number[]>} latency of each stage, in milliseconds */ stages: new Map(),
-    problem: "",
+    /** @type {Map<string, string>} what is wrong, by its topic */ problems: new Map(),
     serverNow: 0,
     serverNowAt: 0,
     /** @type {Set<string>} */ selected: new Set(),
@@ -159,9 +159,15 @@ function sample(audit) {
 /** @param {any} message @returns {number} the turn that ends with it; 0 for others */
 export function receive(message) {
     const { topic, data, problem } = message;
-    if (problem) state.problem = problem;
+    // A message of a topic that can be shown again ends its problem.
+    if (problem) state.problems.set(topic, problem);
+    else state.problems.delete(topic);
     switch (topic) {
-        case "hello": state.hello = data; break;
+        case "hello":
+            state.hello = data;
+            // Another console, or another version of it, may read what this page sends.
+            state.problems.delete("problem");
+            break;
         case "fleet": state.fleet = data; break;
         case "teams": state.teams = data; break;
         case "audit":
@@ -180,7 +186,7 @@ export function receive(message) {
             state.events = state.events.concat(data ?? []).slice(-MAX_EVENTS);
             break;
         case "names": receiveNames(data); break;
-        case "problem": state.problem = String(data); break;
+        case "problem": state.problems.set(topic, String(data)); break;
         case "end":
             state.serverNow = data.now;
             state.serverNowAt = performance.now();

@@ -82,13 +82,25 @@ function reject() {
     clear();
 }
 
-/** @param {any} division */
-function accept(division) {
-    confirmThen(`Make the fleet this? ${counted(division.moved, "robot")} would move.`, async () => {
+/** The parts of a proposal as they are applied, where the list of them did not come. @param {any} proposal */
+const partsOf = ({ id, asked, division }) => [
+    ...(asked.without?.length ? [{ service: "clusterer", reserve: { id: `propose-${id}` } }] : []),
+    ...Object.keys(division.replaces).map((service) => ({ service, set: {} })),
+];
+
+/**
+ * What takes an accepted proposal back: its parts, the last one first.
+ * @param {any} proposal @param {any[] | null} applied the parts; null if they did not come
+ */
+export const undoOf = (proposal, applied) => (applied ?? partsOf(proposal)).map((part) =>
+    part.set ? { service: part.service, action: { set: proposal.division.replaces[part.service] } }
+        : { service: part.service, action: { withdraw: { id: part.reserve.id } } }).reverse();
+
+/** @param {any} proposal */
+function accept(proposal) {
+    confirmThen(`Make the fleet this? ${counted(proposal.division.moved, "robot")} would move.`, async () => {
         const what = `proposal: ${Object.entries(state.whatIf.asked).map(([field, value]) => WORDS[field](value)).join("; ")}`;
-        const order = await carryOut(what, () => propose(NAME, "accept"), (applied) => applied.map((/** @type {any} */ part) =>
-            part.set ? { service: part.service, action: { set: division.replaces[part.service] } }
-                : { service: part.service, action: { withdraw: { id: part.reserve.id } } }).reverse());
+        const order = await carryOut(what, () => propose(NAME, "accept"), (applied) => undoOf(proposal, applied));
         if (order.state === "done") clear();
     });
 }
@@ -152,7 +164,7 @@ function shown(division, isThere) {
                 changed();
                 draw();
             } }, "Show on the map"),
-            h("button", { type: "button", id: "if-accept", disabled: !canCommand() || !isThere, onClick: () => accept(division) }, "Accept"),
+            h("button", { type: "button", id: "if-accept", disabled: !canCommand() || !isThere, onClick: () => accept(one.proposal) }, "Accept"),
             h("button", { type: "button", id: "if-reject", onClick: reject }, "Reject")));
 }
 

@@ -8,7 +8,8 @@ use muster_model::id::OperatorId;
 use muster_model::time::Tick;
 
 use super::limits::{
-    MAX_COMMANDS_PER_MINUTE, MAX_MESSAGES_PER_SECOND, MAX_REPLY_BYTES, STALLED_AFTER,
+    MAX_COMMANDS_PER_MINUTE, MAX_MESSAGES_PER_SECOND, MAX_PENDING, MAX_QUESTIONS_PER_MINUTE,
+    MAX_REPLY_BYTES, STALLED_AFTER,
 };
 use super::request::ViewRequest;
 use super::topics::TOPICS;
@@ -48,6 +49,48 @@ impl Allowance {
     }
 }
 
+/// What a browser asks for. Each sort has a quota of its own, so that who looks at robots can still command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Sort {
+    /// A command, or something about a proposal.
+    Order,
+    /// A question.
+    Question,
+}
+
+/// How much of one sort a browser may ask for: within a minute, and without an answer.
+#[derive(Debug)]
+pub(super) struct Quota {
+    allowance: Allowance,
+    pending: usize,
+}
+
+impl Quota {
+    fn new(per_minute: u32, now: Tick) -> Self {
+        Self { allowance: Allowance::new(per_minute, Duration::from_secs(60), now), pending: 0 }
+    }
+
+    /// Whether so many wait for their answer that one more must not.
+    pub(super) fn is_full(&self) -> bool {
+        self.pending >= MAX_PENDING
+    }
+
+    /// Whether one more may be asked for now.
+    pub(super) fn take(&mut self, now: Tick) -> bool {
+        self.allowance.take(now)
+    }
+
+    /// One waits for its answer.
+    pub(super) fn begin(&mut self) {
+        self.pending += 1;
+    }
+
+    /// One has its answer.
+    pub(super) fn end(&mut self) {
+        self.pending = self.pending.saturating_sub(1);
+    }
+}
+
 /// One browser.
 #[derive(Debug)]
 pub(super) struct Browser {
@@ -61,8 +104,6 @@ pub(super) struct Browser {
     pub(super) frames: (u64, u64),
     /// Events up to this number are sent.
     pub(super) events: u64,
-    /// Commands and questions without an answer.
-    pub(super) pending: usize,
     replies: VecDeque<Arc<str>>,
     reply_bytes: usize,
     /// The number of the last turn, and when it was sent.
@@ -70,7 +111,8 @@ pub(super) struct Browser {
     /// Whether the last turn was drawn.
     has_credit: bool,
     messages: Allowance,
-    commands: Allowance,
+    orders: Quota,
+    questions: Quota,
 }
 
 impl Browser {
@@ -82,13 +124,13 @@ impl Browser {
             names: (0, 0),
             frames: (0, 0),
             events: 0,
-            pending: 0,
             replies: VecDeque::new(),
             reply_bytes: 0,
             turn: (0, now),
             has_credit: true,
             messages: Allowance::new(MAX_MESSAGES_PER_SECOND, Duration::from_secs(1), now),
-            commands: Allowance::new(MAX_COMMANDS_PER_MINUTE, Duration::from_secs(60), now),
+            orders: Quota::new(MAX_COMMANDS_PER_MINUTE, now),
+            questions: Quota::new(MAX_QUESTIONS_PER_MINUTE, now),
         }
     }
 
@@ -96,8 +138,12 @@ impl Browser {
         self.messages.take(now)
     }
 
-    pub(super) fn may_command(&mut self, now: Tick) -> bool {
-        self.commands.take(now)
+    /// How much of a sort it may ask for.
+    pub(super) fn quota(&mut self, sort: Sort) -> &mut Quota {
+        match sort {
+            Sort::Order => &mut self.orders,
+            Sort::Question => &mut self.questions,
+        }
     }
 
     pub(super) fn has_credit(&self) -> bool {

@@ -24,10 +24,14 @@ pub const MAX_MESSAGE_BYTES: usize = 32 * 1024;
 /// Most messages of a browser in a second: a credit for each drawn frame on a fast screen, and what a hand can click.
 pub const MAX_MESSAGES_PER_SECOND: u32 = 250;
 
-/// Most commands of a browser in a minute: a person gives one in some seconds.
+/// Most commands and steps of proposals of a browser in a minute: a person gives one in some seconds.
 pub const MAX_COMMANDS_PER_MINUTE: u32 = 60;
 
-/// Most commands and questions of a browser that wait for their answer.
+/// Most questions of a browser in a minute: a person who looks at one robot after the other asks two questions for each, at
+/// one robot a second, and the reason of the last one is asked for again every three seconds.
+pub const MAX_QUESTIONS_PER_MINUTE: u32 = 150;
+
+/// Most commands of a browser that wait for their answer, and most questions.
 pub const MAX_PENDING: usize = 16;
 
 /// Most robots whose links a browser may choose.

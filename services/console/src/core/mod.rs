@@ -7,6 +7,7 @@ pub mod frame;
 pub mod limits;
 mod news;
 mod orders;
+mod problem;
 mod projection;
 pub mod proposal;
 mod request;
@@ -33,12 +34,13 @@ use serde_json::{Value, json};
 
 use crate::image::Edges;
 
-use self::browser::Browser;
 pub use self::browser::Role;
+use self::browser::{Browser, Sort};
 pub use self::fetches::Fetch;
 use self::fetches::Fetches;
 use self::fleet::Fleet;
 use self::limits::MAX_BROWSERS;
+pub use self::problem::{Problem, ProblemKind};
 use self::projection::Axes;
 pub use self::request::{ProposalOrder, ProposalStep, Question};
 use self::topics::{Topic, Topics};
@@ -89,7 +91,7 @@ pub enum Input {
     /// A browser is gone.
     Closed(BrowserId),
     /// What came of a command or a question: the answer, or why there is none.
-    Answer(Ticket, Result<Value, String>),
+    Answer(Ticket, Result<Value, Problem>),
 }
 
 /// What is to be done.
@@ -130,6 +132,8 @@ struct Pending {
     browser: BrowserId,
     /// How the browser names it.
     id: u64,
+    sort: Sort,
+    /// Whether it may change the fleet.
     is_command: bool,
 }
 

@@ -5,12 +5,26 @@ use muster_model::time::Tick;
 use muster_wire::message::plain_reason;
 use serde_json::{Value, json};
 
-use super::limits::{MAX_MESSAGE_BYTES, MAX_PENDING};
+use super::browser::Sort;
+use super::limits::MAX_MESSAGE_BYTES;
+use super::problem::Problem;
 use super::request::{self, AskRequest, CommandRequest, ProposeRequest, Request};
 use super::{BrowserId, Command, Console, Fetch, Output, Pending, Role, Ticket};
 
 /// Why nothing is sent while no router is linked.
 const UNLINKED: &str = "the link to the router is lost; nothing was sent";
+
+/// What stands in the place of an answer for which a browser has no room.
+const TOO_LONG: &str = "the answer is too long to be shown; ask for less";
+
+/// The reply to a request of a browser: the answer, or the reason under the name of what may have come of it.
+fn reply_text(request: u64, answer: &Result<Value, Problem>) -> String {
+    let data = match answer {
+        Ok(answer) => json!({"id": request, "answer": answer}),
+        Err(problem) => json!({"id": request, (problem.kind.name()): problem.reason}),
+    };
+    json!({"topic": "reply", "data": data}).to_string()
+}
 
 impl Console {
     pub(super) fn receive(
@@ -51,17 +65,24 @@ impl Console {
     }
 
     /// Answers a browser; what does not fit into the room of its replies is replaced by a sentence.
-    fn reply(&mut self, id: BrowserId, request: u64, answer: Result<&Value, &str>) {
-        let Some(browser) = self.browsers.get_mut(&id) else { return };
-        let text = match answer {
-            Ok(answer) => json!({"topic": "reply", "data": {"id": request, "answer": answer}}),
-            Err(problem) => json!({"topic": "reply", "data": {"id": request, "refused": problem}}),
-        };
-        if !browser.reply(text.to_string().into()) {
-            let refused = "the answer is too long to be shown; ask for less";
-            let text = json!({"topic": "reply", "data": {"id": request, "refused": refused}});
-            browser.reply(text.to_string().into());
+    fn reply(&mut self, pending: &Pending, answer: &Result<Value, Problem>) {
+        let Some(browser) = self.browsers.get_mut(&pending.browser) else { return };
+        if browser.reply(reply_text(pending.id, answer).into()) {
+            return;
         }
+        let short = match answer {
+            // What was carried out must not be shown as refused.
+            Ok(_) if pending.is_command => Ok(Value::Null),
+            Ok(_) => Err(Problem::refused(TOO_LONG)),
+            Err(problem) => Err(Problem { kind: problem.kind, reason: TOO_LONG.to_owned() }),
+        };
+        browser.reply(reply_text(pending.id, &short).into());
+    }
+
+    /// Refuses a request of a browser, of which nothing was sent.
+    fn refuse(&mut self, id: BrowserId, request: u64, reason: &str) {
+        let Some(browser) = self.browsers.get_mut(&id) else { return };
+        browser.reply(reply_text(request, &Err(Problem::refused(reason))).into());
     }
 
     fn command(
@@ -75,9 +96,9 @@ impl Console {
         let refused = "a viewer cannot command; sign in with the token of an operator";
         let operator = match self.operator(now, id, refused) {
             Ok(operator) => operator,
-            Err(refused) => return self.reply(id, number, Err(refused)),
+            Err(refused) => return self.refuse(id, number, refused),
         };
-        let ticket = self.ticket(id, number, true);
+        let ticket = self.ticket(id, number, Sort::Order, true);
         let command = Command { operator, service, action, based_on };
         outputs.push(Output::Command(ticket, command));
     }
@@ -91,9 +112,10 @@ impl Console {
     ) -> Result<OperatorId, &'static str> {
         let Some(browser) = self.browsers.get_mut(&id) else { return Err(of_viewer) };
         let Role::Operator(operator) = browser.role.clone() else { return Err(of_viewer) };
-        if browser.pending >= MAX_PENDING {
+        let quota = browser.quota(Sort::Order);
+        if quota.is_full() {
             Err("too many commands wait for their answer")
-        } else if !browser.may_command(now) {
+        } else if !quota.take(now) {
             Err("too many commands within a minute; wait a moment")
         } else if !self.link {
             Err(UNLINKED)
@@ -115,50 +137,51 @@ impl Console {
         let order = self.operator(now, id, refused).map_err(str::to_owned);
         match order.and_then(|operator| request.order(operator)) {
             Ok(order) => {
-                let ticket = self.ticket(id, number, accepts);
+                let ticket = self.ticket(id, number, Sort::Order, accepts);
                 outputs.push(Output::Propose(ticket, order));
             }
-            Err(problem) => self.reply(id, number, Err(&plain_reason(&problem))),
+            Err(problem) => self.refuse(id, number, &plain_reason(&problem)),
         }
     }
 
     fn ask(&mut self, now: Tick, id: BrowserId, ask: &AskRequest, outputs: &mut Vec<Output>) {
         let Some(browser) = self.browsers.get_mut(&id) else { return };
-        let question = if browser.pending >= MAX_PENDING {
+        let quota = browser.quota(Sort::Question);
+        let question = if quota.is_full() {
             Err("too many questions wait for their answer".to_owned())
-        } else if !browser.may_command(now) {
+        } else if !quota.take(now) {
             Err("too many questions within a minute; wait a moment".to_owned())
         } else {
             ask.question()
         };
         match question {
             Ok(question) => {
-                let ticket = self.ticket(id, ask.id, false);
+                let ticket = self.ticket(id, ask.id, Sort::Question, false);
                 outputs.push(Output::Ask(ticket, question));
             }
-            Err(problem) => self.reply(id, ask.id, Err(&plain_reason(&problem))),
+            Err(problem) => self.refuse(id, ask.id, &plain_reason(&problem)),
         }
     }
 
-    fn ticket(&mut self, browser: BrowserId, id: u64, is_command: bool) -> Ticket {
+    fn ticket(&mut self, browser: BrowserId, id: u64, sort: Sort, is_command: bool) -> Ticket {
         self.next_ticket += 1;
-        self.pending.insert(self.next_ticket, Pending { browser, id, is_command });
+        self.pending.insert(self.next_ticket, Pending { browser, id, sort, is_command });
         if let Some(browser) = self.browsers.get_mut(&browser) {
-            browser.pending += 1;
+            browser.quota(sort).begin();
         }
         self.next_ticket
     }
 
-    pub(super) fn answer(&mut self, ticket: Ticket, answer: Result<Value, String>) {
+    pub(super) fn answer(&mut self, ticket: Ticket, answer: Result<Value, Problem>) {
         let Some(pending) = self.pending.remove(&ticket) else { return };
         if pending.is_command {
             self.fetches.soon(&[Fetch::Settings, Fetch::Wishes]);
         }
         if let Some(browser) = self.browsers.get_mut(&pending.browser) {
-            browser.pending = browser.pending.saturating_sub(1);
+            browser.quota(pending.sort).end();
         }
-        let problem = answer.as_ref().err().map(|problem| plain_reason(problem));
-        let answer = answer.as_ref().map_err(|_| problem.as_deref().unwrap_or_default());
-        self.reply(pending.browser, pending.id, answer);
+        let plain =
+            |Problem { kind, reason }: Problem| Problem { kind, reason: plain_reason(&reason) };
+        self.reply(&pending, &answer.map_err(plain));
     }
 }

@@ -4,6 +4,7 @@
 //! frame to frame, as the axes of a decomposition made again would.
 
 use muster_model::embedding::Embedding;
+use muster_model::settings::MAX_DIMENSION;
 
 /// Most rows that the covariance is made of; of larger fleets, every n-th. Directions of ten thousand points do not
 /// change with more of them.
@@ -39,11 +40,12 @@ fn orthonormalize(vector: &mut [f64], from: Option<&[f64]>) -> bool {
 
 impl Axes {
     /// Follows an embedding, and returns the place of each of its robots in the order of the embedding; none for a robot
-    /// without a vector.
+    /// without a vector, and none for any where the vectors are longer than an embedding may have them.
     pub(super) fn project(&mut self, embedding: &Embedding) -> Vec<Option<[f64; 2]>> {
         let dimension = embedding.dimension as usize;
         let seen = |row: &usize| !embedding.without_embedding[*row];
-        if dimension == 0 {
+        // The covariance grows with the square of a number that came over the bus.
+        if dimension == 0 || embedding.dimension > MAX_DIMENSION {
             return vec![None; embedding.robots.len()];
         }
         let rows: Vec<usize> = (0..embedding.robots.len()).filter(seen).collect();
@@ -66,20 +68,22 @@ impl Axes {
                 }
             }
         }
-        self.turn(&covariance, dimension);
+        let is_flat = self.turn(&covariance, dimension);
         let place = |number: usize| {
             let centred: Vec<f64> = row(number).iter().zip(&mean).map(|(v, m)| v - m).collect();
-            [0, 1].map(|axis| dot(&centred, &self.axes[axis]))
+            let [first, second] = [0, 1].map(|axis| dot(&centred, &self.axes[axis]));
+            [first, if is_flat { 0.0 } else { second }]
         };
         (0..embedding.robots.len()).map(|number| seen(&number).then(|| place(number))).collect()
     }
 
-    fn turn(&mut self, covariance: &[f64], dimension: usize) {
+    /// Turns the axes towards the two widest directions; true if there is no second one, as the vectors lie on a line.
+    fn turn(&mut self, covariance: &[f64], dimension: usize) -> bool {
+        // Unequal numbers, so that the start is orthogonal to no direction.
+        #[expect(clippy::cast_precision_loss, reason = "dimensions are small")]
+        let begin =
+            |shift: usize| (0..dimension).map(|at| ((at * 2 + shift) as f64).sin()).collect();
         if self.axes[0].len() != dimension {
-            // Unequal numbers, so that the start is orthogonal to no direction.
-            #[expect(clippy::cast_precision_loss, reason = "dimensions are small")]
-            let begin =
-                |shift: usize| (0..dimension).map(|at| ((at * 2 + shift) as f64).sin()).collect();
             self.axes = [begin(1), begin(2)];
         }
         let apply = |vector: &[f64]| -> Vec<f64> {
@@ -93,11 +97,13 @@ impl Axes {
             let is_flat = !orthonormalize(&mut second, Some(&first));
             self.axes[0] = first;
             if is_flat {
-                self.axes[1].fill(0.0);
-                break;
+                // Nothing grows out of zeros, nor out of the first axis: later vectors may have a second direction.
+                self.axes[1] = begin(2);
+                return true;
             }
             self.axes[1] = second;
         }
+        false
     }
 }
 
@@ -139,5 +145,38 @@ mod tests {
             assert_eq!(places.len(), rows.len());
             assert!(places.iter().flatten().flatten().all(|value| value.is_finite()));
         }
+    }
+
+    #[test]
+    fn vectors_that_leave_a_line_are_drawn_in_both_directions() {
+        let wave = |at: u32| f64::from(at).sin();
+        let line: Vec<[f64; 4]> = (0..20).map(|at| [wave(at), 0.0, 0.0, 0.0]).collect();
+        let plane: Vec<[f64; 4]> =
+            (0..20).map(|at| [3.0 * wave(at), wave(7 * at), 0.0, 0.0]).collect();
+        let mut axes = Axes::default();
+        let second = |axes: &mut Axes, rows: &[[f64; 4]]| -> f64 {
+            let places = axes.project(&testkit::embedding(rows));
+            places.iter().flatten().map(|place| place[1] * place[1]).sum()
+        };
+        assert!(second(&mut axes, &line).abs() < 1e-12);
+        let expected = second(&mut Axes::default(), &plane);
+        assert!(expected > 1.0 && (second(&mut axes, &plane) - expected).abs() < 1e-6);
+        // A line along the second axis, which then is the first one.
+        let across: Vec<[f64; 4]> =
+            (0..20).map(|at| [1e-3 * wave(at), wave(at), 0.0, 0.0]).collect();
+        assert!(second(&mut axes, &across).abs() < 1e-12);
+        assert!((second(&mut axes, &plane) - expected).abs() < 1e-6);
+    }
+
+    #[test]
+    fn vectors_longer_than_any_embedding_has_them_are_not_drawn() {
+        const LONG: usize = MAX_DIMENSION as usize + 1;
+        let long = testkit::embedding(&[[0.5; LONG], [1.0; LONG]]);
+        assert_eq!(Axes::default().project(&long), [None, None]);
+        let mut none = testkit::embedding::<2>(&[]);
+        none.dimension = u32::MAX;
+        assert!(Axes::default().project(&none).is_empty());
+        let longest = testkit::embedding(&[[0.5; LONG - 1], [1.0; LONG - 1]]);
+        assert!(Axes::default().project(&longest).iter().all(Option::is_some));
     }
 }

@@ -15,7 +15,8 @@ use tokio::task::JoinSet;
 
 use super::run::Happening;
 use crate::{
-    Command, Fetch, Input, ProposalOrder, ProposalStep, Question, Stale, Ticket, proposal,
+    Command, Fetch, Input, Problem, ProblemKind, ProposalOrder, ProposalStep, Question, Stale,
+    Ticket, proposal,
 };
 
 /// How often the newest message is shown although its content has not changed, so that its age is right.
@@ -105,7 +106,7 @@ async fn waits_to_try_again(orders: &mut mpsc::Receiver<Order>, happenings: &Hap
 }
 
 async fn unlinked(order: Order, happenings: &Happenings) {
-    let problem = || Err("the link to the router is lost; nothing was sent".to_owned());
+    let problem = || Err(Problem::refused("the link to the router is lost; nothing was sent"));
     let input = match order {
         Order::Command(ticket, _) | Order::Ask(ticket, _) | Order::Propose(ticket, _) => {
             Input::Answer(ticket, problem())
@@ -176,12 +177,35 @@ async fn pass_on<T: Publication>(
     }
 }
 
+/// What may have come of what failed with this error.
+fn kind_of(error: &Error) -> ProblemKind {
+    match error {
+        // What had been applied of a proposal was taken back.
+        Error::NotApplied { left, .. } if left.is_empty() => ProblemKind::Refused,
+        Error::Unavailable { .. } => ProblemKind::Unavailable,
+        Error::Unstored { .. } => ProblemKind::Unstored,
+        Error::Input { .. }
+        | Error::Runtime
+        | Error::Unreachable { .. }
+        | Error::Taken { .. }
+        | Error::Denied { .. }
+        | Error::Refused { .. }
+        | Error::Closed => ProblemKind::Refused,
+        // It was sent, and only its answer is missing: who takes it for refused may do it twice.
+        _ => ProblemKind::Unknown,
+    }
+}
+
+fn problem(error: &Error) -> Problem {
+    Problem { kind: kind_of(error), reason: error.to_string() }
+}
+
 async fn carry_out(client: &Client, order: Order) -> Input {
     match order {
         Order::Command(ticket, command) => {
             let Command { operator, service, action, based_on } = *command;
             let outcome = client.command(&operator, service, action, based_on).await;
-            Input::Answer(ticket, outcome.map_err(|error| error.to_string()))
+            Input::Answer(ticket, outcome.map_err(|error| problem(&error)))
         }
         Order::Ask(ticket, question) => {
             let answer = match question {
@@ -194,11 +218,11 @@ async fn carry_out(client: &Client, order: Order) -> Input {
                         .map_err(|error| Error::Bus { reason: error.to_string() })
                 }),
             };
-            Input::Answer(ticket, answer.map_err(|error| error.to_string()))
+            Input::Answer(ticket, answer.map_err(|error| problem(&error)))
         }
         Order::Propose(ticket, order) => {
             let answer = propose(client, *order).await;
-            Input::Answer(ticket, answer.map_err(|error| error.to_string()))
+            Input::Answer(ticket, answer.map_err(|error| problem(&error)))
         }
         Order::Fetch(fetch) => {
             let fetched = fetched(client, &fetch).await;
@@ -249,4 +273,36 @@ async fn fetched(client: &Client, fetch: &Fetch) -> Result<Input, Error> {
             Input::Settings(all)
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_model::id::FleetId;
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn only_what_was_not_done_counts_as_refused() {
+        let service = ServiceName::Clusterer;
+        let reason = || "because".to_owned();
+        let unanswered = || Error::Unanswered {
+            key: "command/clusterer/kim/1".to_owned(),
+            fleet: FleetId::new("alpha").unwrap(),
+        };
+        let not_applied = |left| Error::NotApplied { reason: Box::new(unanswered()), left };
+        let Value::Object(changed) = json!({"teams": 3}) else { panic!("it is an object") };
+        for (error, kind) in [
+            (Error::Refused { service, reason: reason() }, ProblemKind::Refused),
+            (Error::Closed, ProblemKind::Refused),
+            (not_applied(Vec::new()), ProblemKind::Refused),
+            (Error::Unavailable { service, reason: reason() }, ProblemKind::Unavailable),
+            (Error::Unstored { service, reason: reason() }, ProblemKind::Unstored),
+            (unanswered(), ProblemKind::Unknown),
+            (Error::Bus { reason: reason() }, ProblemKind::Unknown),
+            (not_applied(vec![AppliedPart::Settings { service, changed }]), ProblemKind::Unknown),
+        ] {
+            assert_eq!(problem(&error), Problem { kind, reason: error.to_string() });
+        }
+    }
 }

@@ -200,9 +200,14 @@ fn image(request: &Request<Incoming>, port: &Port) -> Answer {
     answer
 }
 
+/// The session that a request names.
+fn session(request: &Request<Incoming>) -> Option<&str> {
+    field(request, COOKIE).and_then(access::session_of)
+}
+
 /// What the bearer of the request's session may do.
 fn role(request: &Request<Incoming>, port: &Port) -> Option<Role> {
-    let session = field(request, COOKIE).and_then(access::session_of);
+    let session = session(request);
     let sessions = port.shared.sessions.lock().unwrap_or_else(PoisonError::into_inner);
     sessions.role(port.shared.clock.now(), session)
 }
@@ -234,8 +239,7 @@ async fn sign(request: Request<Incoming>, port: &Port) -> Answer {
     let now = port.shared.clock.now();
     let sessions = || port.shared.sessions.lock().unwrap_or_else(PoisonError::into_inner);
     if request.method() == Method::DELETE {
-        let session = field(&request, COOKIE).and_then(access::session_of).map(str::to_owned);
-        sessions().sign_out(session.as_deref());
+        sessions().sign_out(session(&request));
         return cookie(json_answer(StatusCode::OK, &json!({"role": null})), "", 0);
     }
     let body =
@@ -256,7 +260,7 @@ async fn sign(request: Request<Incoming>, port: &Port) -> Answer {
             json_answer(StatusCode::UNAUTHORIZED, &json!({"problem": "this token is unknown"}))
         }
         Err(SignInError::TooMany) => {
-            let problem = "too many have tried; wait a minute";
+            let problem = "this token is unknown, as were many within the last minute";
             json_answer(StatusCode::TOO_MANY_REQUESTS, &json!({"problem": problem}))
         }
     }
@@ -296,10 +300,11 @@ fn upgrade(mut request: Request<Incoming>, port: &Port) -> Answer {
         return text(StatusCode::BAD_REQUEST, "this is no WebSocket\n");
     };
     let id = port.next.fetch_add(1, Ordering::Relaxed);
+    let session = session(&request).map(str::to_owned);
     let (upgraded, shared) = (hyper::upgrade::on(&mut request), Arc::clone(&port.shared));
     tokio::spawn(async move {
         match upgraded.await {
-            Ok(upgraded) => socket::serve(upgraded, id, role, shared).await,
+            Ok(upgraded) => socket::serve(upgraded, id, role, session, shared).await,
             Err(error) => tracing::debug!("an upgrade failed: {error}"),
         }
     });

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use muster_model::time::Tick;
 use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::{Exit, ExitError};
@@ -20,6 +21,7 @@ use super::http;
 use super::options::ConsoleOptions;
 use super::socket::ToBrowser;
 use crate::access::Sessions;
+use crate::limits::{MAX_BROWSERS, MAX_PENDING};
 use crate::{BrowserId, Console, Input, Output, Role};
 
 /// How often the core is told that time passes.
@@ -29,7 +31,9 @@ const TICK: Duration = Duration::from_millis(100);
 const MAX_WAITING_INPUTS: usize = 1024;
 
 /// Most orders that wait for the bus: more than all browsers may have pending.
-const MAX_WAITING_ORDERS: usize = 1024;
+const MAX_WAITING_ORDERS: usize = 2048;
+
+const _: () = assert!(MAX_WAITING_ORDERS > 2 * MAX_PENDING * MAX_BROWSERS);
 
 /// When a loop that has not turned counts as hanging, as that of a service.
 const HANGING_AFTER: Duration = Duration::from_secs(5);
@@ -39,8 +43,25 @@ const HANGING_AFTER: Duration = Duration::from_secs(5);
 pub(super) enum Happening {
     /// An input of the core.
     Core(Input),
-    /// A browser, and the way to it.
-    Opened(BrowserId, Role, mpsc::UnboundedSender<ToBrowser>),
+    /// A browser, what it may do, and the way to it.
+    Opened(BrowserId, Role, Way),
+}
+
+/// The way to a browser.
+#[derive(Debug)]
+pub(super) struct Way {
+    /// The session under which it was opened; none where no one signs in.
+    pub(super) session: Option<String>,
+    /// Where what goes to it waits.
+    pub(super) outbox: mpsc::UnboundedSender<ToBrowser>,
+}
+
+type Browsers = BTreeMap<BrowserId, Way>;
+
+/// The browsers whose session has ended: one that was opened before must not outlast it.
+fn signed_out(browsers: &Browsers, sessions: &Sessions, now: Tick) -> Vec<BrowserId> {
+    let is_over = |way: &Way| sessions.role(now, way.session.as_deref()).is_none();
+    browsers.iter().filter_map(|(id, way)| is_over(way).then_some(*id)).collect()
 }
 
 /// What the port and the loop share.
@@ -57,7 +78,7 @@ pub(super) struct Shared {
 impl Shared {
     /// Whether the loop runs.
     pub(super) fn is_alive(&self) -> bool {
-        let turned = muster_model::time::Tick(self.turned.load(Ordering::Relaxed));
+        let turned = Tick(self.turned.load(Ordering::Relaxed));
         self.clock.now().since(turned) < HANGING_AFTER
     }
 
@@ -119,7 +140,7 @@ pub(super) async fn serve(
 
     let mut console =
         Console::new(config.fleet.value.clone(), env!("CARGO_PKG_VERSION")).with_image(edges);
-    let mut browsers: BTreeMap<BrowserId, mpsc::UnboundedSender<ToBrowser>> = BTreeMap::new();
+    let mut browsers = Browsers::new();
     let mut ticks = tokio::time::interval(TICK);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
     loop {
@@ -132,8 +153,8 @@ pub(super) async fn serve(
             _ = ticks.tick() => Input::Tick,
             Some(happening) = inbox.recv() => match happening {
                 Happening::Core(input) => input,
-                Happening::Opened(id, role, sender) => {
-                    browsers.insert(id, sender);
+                Happening::Opened(id, role, way) => {
+                    browsers.insert(id, way);
                     Input::Opened(id, role)
                 }
             },
@@ -143,6 +164,18 @@ pub(super) async fn serve(
         }
         let now = clock.now();
         shared.turned.store(now.0, Ordering::Relaxed);
+        // Before a message of a browser counts, and as time passes.
+        if matches!(input, Input::Tick | Input::Text(..)) {
+            let sessions = shared.sessions.lock().unwrap_or_else(PoisonError::into_inner);
+            let over = signed_out(&browsers, &sessions, now);
+            drop(sessions);
+            for id in over {
+                perform(Output::Close(id, "the session has ended"), &mut browsers, &orders);
+                for output in console.handle(now, Input::Closed(id)) {
+                    perform(output, &mut browsers, &orders);
+                }
+            }
+        }
         for output in console.handle(now, input) {
             perform(output, &mut browsers, &orders);
         }
@@ -151,15 +184,11 @@ pub(super) async fn serve(
     port.abort();
 }
 
-fn perform(
-    output: Output,
-    browsers: &mut BTreeMap<BrowserId, mpsc::UnboundedSender<ToBrowser>>,
-    orders: &mpsc::Sender<Order>,
-) {
+fn perform(output: Output, browsers: &mut Browsers, orders: &mpsc::Sender<Order>) {
     // A browser whose end is not known yet gets nothing; its task says that it is closed.
-    let to = |id: BrowserId, what: ToBrowser, browsers: &BTreeMap<_, mpsc::UnboundedSender<_>>| {
-        if let Some(browser) = browsers.get(&id) {
-            let _ = browser.send(what);
+    let to = |id: BrowserId, what: ToBrowser, browsers: &Browsers| {
+        if let Some(way) = browsers.get(&id) {
+            let _ = way.outbox.send(what);
         }
     };
     let order = match output {
@@ -177,5 +206,35 @@ fn perform(
     };
     if let Err(error) = orders.try_send(order) {
         tracing::warn!("an order is not carried out: {error}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_model::id::OperatorId;
+
+    use super::*;
+    use crate::access::{Door, SESSION_TIME};
+
+    fn way(session: Option<&str>) -> Way {
+        Way { session: session.map(str::to_owned), outbox: mpsc::unbounded_channel().0 }
+    }
+
+    #[test]
+    fn a_browser_is_closed_with_its_session() {
+        const TOKEN: &str = "wall-wall-wall-wall-wall-wall";
+        let now = Tick(1_000_000_000);
+        let mut sessions = Sessions::new(Door::Tokens(vec![(TOKEN.to_owned(), Role::Viewer)]));
+        sessions.sign_in(now, TOKEN, "s1".to_owned()).unwrap();
+        sessions.sign_in(now.after(SESSION_TIME / 2), TOKEN, "s2".to_owned()).unwrap();
+        let browsers = Browsers::from([(1, way(Some("s1"))), (2, way(Some("s2")))]);
+        assert!(signed_out(&browsers, &sessions, now).is_empty());
+        assert_eq!(signed_out(&browsers, &sessions, now.after(SESSION_TIME)), [1]);
+        sessions.sign_out(Some("s2"));
+        assert_eq!(signed_out(&browsers, &sessions, now), [2]);
+        // Where no one signs in, no session ends.
+        let open = Sessions::new(Door::Open(OperatorId::new("kim").unwrap()));
+        let browsers = Browsers::from([(3, way(None))]);
+        assert!(signed_out(&browsers, &open, now.after(2 * SESSION_TIME)).is_empty());
     }
 }

@@ -12,7 +12,7 @@ use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 use tokio_tungstenite::tungstenite::protocol::{CloseFrame, Role as SocketRole, WebSocketConfig};
 use tokio_tungstenite::tungstenite::{Bytes, Message, Utf8Bytes};
 
-use super::run::{Happening, Shared};
+use super::run::{Happening, Shared, Way};
 use crate::limits::MAX_MESSAGE_BYTES;
 use crate::{BrowserId, Input, Role};
 
@@ -34,8 +34,14 @@ pub(super) enum ToBrowser {
     Close(&'static str),
 }
 
-/// Carries messages between a browser and the loop until one of them ends it.
-pub(super) async fn serve(upgraded: Upgraded, id: BrowserId, role: Role, shared: Arc<Shared>) {
+/// Carries messages between a browser and the loop until one of them ends it. The loop ends it with the session.
+pub(super) async fn serve(
+    upgraded: Upgraded,
+    id: BrowserId,
+    role: Role,
+    session: Option<String>,
+    shared: Arc<Shared>,
+) {
     let config = WebSocketConfig::default()
         .max_message_size(Some(MAX_MESSAGE_BYTES))
         .max_frame_size(Some(MAX_MESSAGE_BYTES))
@@ -45,7 +51,8 @@ pub(super) async fn serve(upgraded: Upgraded, id: BrowserId, role: Role, shared:
     let (mut sink, mut stream) = socket.split();
     // What waits here is bounded by the core: a browser gets one turn, and nothing more until it has drawn it.
     let (sender, mut outbox) = mpsc::unbounded_channel();
-    if shared.happenings.send(Happening::Opened(id, role, sender)).await.is_err() {
+    let way = Way { session, outbox: sender };
+    if shared.happenings.send(Happening::Opened(id, role, way)).await.is_err() {
         return;
     }
     let reading = async {
