@@ -1,6 +1,6 @@
 //! From the file to the setup: every field is checked.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use muster_model::id::RobotId;
@@ -95,10 +95,14 @@ impl File {
         if self.domains.is_empty() || self.domains.len() > MAX_DOMAINS {
             return Err(wrong("domains", format!("name from 1 to {MAX_DOMAINS}")));
         }
-        match self.domains.iter().find(|domain| **domain > MAX_DOMAIN) {
-            Some(domain) => {
-                Err(wrong("domains", format!("{domain} is none; they go from 0 to {MAX_DOMAIN}")))
-            }
+        if let Some(domain) = self.domains.iter().find(|domain| **domain > MAX_DOMAIN) {
+            let problem = format!("{domain} is none; they go from 0 to {MAX_DOMAIN}");
+            return Err(wrong("domains", problem));
+        }
+        // Each message would come twice, and be put twice.
+        let mut seen = BTreeSet::new();
+        match self.domains.iter().find(|domain| !seen.insert(**domain)) {
+            Some(domain) => Err(wrong("domains", format!("{domain} is named twice; name it once"))),
             None => Ok(self.domains.clone()),
         }
     }
@@ -136,6 +140,11 @@ impl File {
             let content = Content::Transforms { is_static };
             sources.push(source(catalog, topic, "tf2_msgs/msg/TFMessage", content, field)?);
         }
+        // A transform that changes would hold for good.
+        if sources[0].topic == sources[1].topic {
+            let problem = "is the topic of frames.tf; name another one";
+            return Err(wrong("frames.tf_static", problem));
+        }
         if shared[0] != shared[1] {
             let problem = "both topics name {robot}, or neither";
             return Err(wrong("frames.tf_static", problem));
@@ -161,13 +170,40 @@ impl PublishFile {
         if team.as_ref().is_some_and(|team| !team.names_robot()) {
             return Err(wrong("publish.team", "must contain {robot}, which stands for the robot"));
         }
-        Ok(PublishTopics {
+        let topics = PublishTopics {
             teams: topic("teams", &self.teams)?,
             typed_teams: topic("typed_teams", &self.typed_teams)?,
             team,
             diagnostics: topic("diagnostics", &self.diagnostics)?,
             markers: topic("markers", &self.markers)?,
-        })
+        };
+        topics.check_apart()?;
+        Ok(topics)
+    }
+}
+
+impl PublishTopics {
+    /// Refuses two topics of one name: a publisher has one type, and readers could not tell their messages apart.
+    fn check_apart(&self) -> Result<(), ConfigError> {
+        let topics = [
+            ("teams", &self.teams),
+            ("typed_teams", &self.typed_teams),
+            ("diagnostics", &self.diagnostics),
+            ("markers", &self.markers),
+        ];
+        let mut seen = BTreeMap::new();
+        for (field, topic) in topics {
+            let Some(topic) = topic else { continue };
+            let of_robot = self.team.as_ref().and_then(|team| team.robot_of(topic.as_str()));
+            let problem = match (seen.insert(topic, field), of_robot) {
+                (Some(other), _) => format!("is the topic of publish.{other}"),
+                (None, Some(robot)) => format!("is the topic of publish.team for a robot {robot}"),
+                (None, None) => continue,
+            };
+            let remedy = "name another one, or leave it empty to publish one of them only";
+            return Err(wrong(format!("publish.{field}"), format!("{problem}; {remedy}")));
+        }
+        Ok(())
     }
 }
 

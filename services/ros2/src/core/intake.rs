@@ -1,6 +1,6 @@
 //! Samples of ROS on their way to reports: the newest of each robot and topic waits for the next tick.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -24,7 +24,8 @@ const MAX_KEYS: usize = 65_536;
 /// 256 KiB.
 const MAX_WAITING_BYTES: usize = 64 * 1024 * 1024;
 
-/// How long a topic without data is remembered, so that those of robots that are gone take no memory.
+/// How long a topic without data is remembered, so that those of robots that are gone take no memory. One that holds
+/// something stays for as long as its robot brings poses, since what was said once holds for as long.
 const FORGET_AFTER: Duration = Duration::from_secs(60);
 
 /// How long a static transform of a tree that all robots share stays after it last arrived: its publisher is asked for it
@@ -68,22 +69,41 @@ struct Topic {
     holds: Option<(Report, Tick)>,
 }
 
+impl Topic {
+    /// Whether it is remembered.
+    fn stays(&self, now: Tick, robots: &Robots) -> bool {
+        let has_posed = |robot| robots.has_posed(now, robot, FORGET_AFTER);
+        now.since(self.last) <= FORGET_AFTER
+            || (self.holds.is_some() && self.robot.as_ref().is_some_and(has_posed))
+    }
+}
+
 /// Most publishers of one topic that are remembered as replaced: of more, two programs alternate in any case.
 const MAX_REPLACED: usize = 8;
 
 /// How many messages in a row may be late. A network reorders a few; a program that numbers by hand may give all one number.
 const MAX_LATE: u32 = 10;
 
-/// Messages that come again more rarely than this are kept by their publisher, and were asked for.
-const KEPT_EVERY: Duration = Duration::from_secs(5);
+/// Late messages that come more rarely than this do not count: a network may repeat one, and a program that numbers by hand
+/// puts more often.
+const LATE_WITHIN: Duration = Duration::from_secs(5);
+
+/// How long the publisher that counts may leave unanswered what another one answers until it is gone. Publishers are asked
+/// every ten seconds, so that it has missed two rounds by then: one answer may be lost.
+const GONE_AFTER: Duration = Duration::from_secs(15);
 
 /// The publishers of a topic of one robot. One counts at a time: the last that appeared, since a robot that starts again has
 /// a publisher of another name. One that was replaced and goes on alternates with the other, and is refused while
 /// messages of that one come, as `ingest` would.
+///
+/// A message that was kept says nothing of who appeared last: its publisher counts only if there is no other, or if that one is
+/// gone and it is new.
 #[derive(Debug, Default)]
 struct Authors {
     current: Option<Author>,
     replaced: Vec<Gid>,
+    /// Those that counted once, the newest last: what they keep is older than what replaced them.
+    earlier: VecDeque<Gid>,
 }
 
 #[derive(Debug)]
@@ -91,23 +111,33 @@ struct Author {
     gid: Gid,
     /// The number of its newest message.
     sequence: i64,
-    /// How many messages in a row were none newer, but for those that are kept.
+    /// How many messages in a row were none newer, but for those that were kept.
     late: u32,
     last: Tick,
+    /// Since when others answer what they keep, and this one does not.
+    unanswered: Option<Tick>,
 }
 
 impl Authors {
-    /// Whether a message is the newest of the publisher that counts. One that is kept comes again and again, and one may
+    /// Whether a message is the newest of the publisher that counts. All that is kept comes again and again, and a put may
     /// come late.
-    fn accept(&mut self, now: Tick, attachment: &Attachment) -> Result<bool, String> {
+    fn accept(
+        &mut self,
+        now: Tick,
+        attachment: &Attachment,
+        is_kept: bool,
+    ) -> Result<bool, String> {
         let Attachment { gid, sequence, .. } = *attachment;
         if let Some(current) = &mut self.current {
             if current.gid == gid {
                 let pause = now.since(std::mem::replace(&mut current.last, now));
+                current.unanswered = None;
                 let is_newer = sequence > current.sequence;
                 if is_newer {
                     (current.sequence, current.late) = (sequence, 0);
-                } else if pause < KEPT_EVERY {
+                } else if is_kept {
+                    return Ok(false);
+                } else if pause < LATE_WITHIN {
                     current.late += 1;
                 }
                 return if current.late < MAX_LATE {
@@ -115,6 +145,12 @@ impl Authors {
                 } else {
                     Err(format!("the numbers of its publisher do not grow: {sequence} came again"))
                 };
+            }
+            if is_kept {
+                let since = *current.unanswered.get_or_insert(now);
+                if self.earlier.contains(&gid) || now.since(since) <= GONE_AFTER {
+                    return Ok(false);
+                }
             }
             if now.since(current.last) > SWITCH_AFTER {
                 self.replaced.clear();
@@ -126,8 +162,13 @@ impl Authors {
             } else if self.replaced.len() < MAX_REPLACED {
                 self.replaced.push(current.gid);
             }
+            self.earlier.retain(|earlier| *earlier != current.gid);
+            self.earlier.push_back(current.gid);
+            if self.earlier.len() > MAX_REPLACED {
+                self.earlier.pop_front();
+            }
         }
-        self.current = Some(Author { gid, sequence, late: 0, last: now });
+        self.current = Some(Author { gid, sequence, late: 0, last: now, unanswered: None });
         Ok(true)
     }
 }
@@ -151,7 +192,8 @@ pub(super) struct Intake {
     setup: Arc<Setup>,
     /// Names this run, where publishers have no names.
     boot: String,
-    topics: BTreeMap<String, Topic>,
+    /// By source and key: several sources may read different fields of one message. Each has every message of its own.
+    topics: BTreeMap<(usize, String), Topic>,
     /// By domain and name of the robot in ROS; the name is empty where all robots share a tree.
     frames: BTreeMap<(u32, String), Frames>,
     robots: Robots,
@@ -225,7 +267,7 @@ impl Intake {
         &self.robots
     }
 
-    /// How many topics are known.
+    /// How many topics are known; one counts for each source that reads it.
     pub(super) fn topics(&self) -> usize {
         self.topics.len()
     }
@@ -235,18 +277,21 @@ impl Intake {
         self.frames.values().map(Frames::len).sum()
     }
 
-    /// A sample of a source arrived. Transforms are taken at once, all else waits for [`Intake::take`].
+    /// A sample of a source arrived, as it was put or as its publisher kept it. Transforms are taken at once, all else waits
+    /// for [`Intake::take`].
     pub(super) fn receive(
         &mut self,
         now: Tick,
         source: usize,
         packet: Packet,
+        is_kept: bool,
     ) -> Result<(), Refused> {
         let Packet { key, payload, attachment, source: from, .. } = packet;
         if from != Source::Put {
             return Ok(());
         }
-        let refuse = |problem: Problem| Refused { key: key.clone(), problem };
+        let place = (source, key);
+        let refuse = |problem: Problem| Refused { key: place.1.clone(), problem };
         let payload = payload
             .map_err(|size| refuse(format!("{size} bytes are too many for one message").into()))?;
         let attachment = match self.setup.dialect {
@@ -256,12 +301,12 @@ impl Intake {
                 |bytes| parse_attachment(bytes.as_bytes()).map_err(|text| refuse(text.into())),
             )?),
         };
-        if !self.topics.contains_key(&key) {
-            let topic = self.open(now, source, &key).map_err(&refuse)?;
+        if !self.topics.contains_key(&place) {
+            let topic = self.open(now, source, &place.1).map_err(&refuse)?;
             self.readings.extend(topic.key.clone().map(Reading::Begins));
-            self.topics.insert(key.clone(), topic);
+            self.topics.insert(place.clone(), topic);
         }
-        let Some(topic) = self.topics.get_mut(&key) else { return Ok(()) };
+        let Some(topic) = self.topics.get_mut(&place) else { return Ok(()) };
         topic.last = now;
         let setup = &self.setup;
         let Some(description) = setup.sources.get(topic.source) else { return Ok(()) };
@@ -276,7 +321,10 @@ impl Intake {
             return taken.map_err(|text| refuse(text.into()));
         }
         if let Some(attachment) = &attachment
-            && !topic.authors.accept(now, attachment).map_err(|text| refuse(text.into()))?
+            && !topic
+                .authors
+                .accept(now, attachment, is_kept)
+                .map_err(|text| refuse(text.into()))?
         {
             return Ok(());
         }
@@ -345,12 +393,9 @@ impl Intake {
     /// The reports of the newest samples that were not taken yet, and what is refused of them.
     pub(super) fn take(&mut self, now: Tick) -> (Vec<(RobotId, Report)>, Vec<Refused>) {
         let (mut reports, mut refused) = (Vec::new(), Vec::new());
-        // Sources come as the file lists them: of each robot and stream the first that brings something is read.
-        let mut topics: Vec<_> =
-            self.topics.iter_mut().filter(|(_, topic)| topic.waiting.is_some()).collect();
-        topics.sort_by_key(|(_, topic)| topic.source);
         self.waiting_bytes = 0;
-        for (key, topic) in topics {
+        // Sources come as the file lists them: of each robot and stream the first that brings something is read.
+        for ((_, key), topic) in &mut self.topics {
             let Some(waiting) = topic.waiting.take() else { continue };
             let (Some(robot), Some(source)) = (&topic.robot, self.setup.sources.get(topic.source))
             else {
@@ -392,19 +437,25 @@ impl Intake {
         (reports, refused)
     }
 
+    /// Drops what is not needed any more, now and then.
     fn forget(&mut self, now: Tick) {
         if now < self.forget_due {
             return;
         }
         self.forget_due = now.after(FORGET_EVERY);
-        let readings = &mut self.readings;
+        let mut gone = Vec::new();
         self.topics.retain(|_, topic| {
-            let stays = now.since(topic.last) <= FORGET_AFTER;
+            let stays = topic.stays(now, &self.robots);
             if !stays {
-                readings.extend(topic.key.take().map(Reading::Ends));
+                gone.extend(topic.key.take());
             }
             stays
         });
+        // A topic is read for as long as any source reads it.
+        let read: BTreeSet<_> =
+            self.topics.values().filter_map(|topic| topic.key.as_ref()).collect();
+        gone.retain(|key| !read.contains(key));
+        self.readings.extend(gone.into_iter().map(Reading::Ends));
         let stay: BTreeSet<&RobotId> =
             self.topics.values().filter_map(|topic| topic.robot.as_ref()).collect();
         self.robots.keep(&stay);

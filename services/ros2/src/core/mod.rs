@@ -44,6 +44,8 @@ const REPORTED_WITHIN: Duration = Duration::from_secs(10);
 pub enum Input {
     /// A sample of a source, by its number in the setup.
     Sample(usize, Packet),
+    /// What a publisher of a source keeps for those that come late, as it was asked for.
+    Kept(usize, Packet),
     /// Time passes. It comes as often as the newest of each robot is put.
     Tick,
     /// The newest division, and whether it may not be valid any more.
@@ -144,13 +146,8 @@ impl Bridge {
     #[must_use]
     pub fn handle(&mut self, now: Tick, input: Input) -> Vec<Output> {
         match input {
-            Input::Sample(source, packet) => {
-                self.counts.received += 1;
-                match self.intake.receive(now, source, packet) {
-                    Ok(()) => Vec::new(),
-                    Err(refused) => self.refuse(now, refused),
-                }
-            }
+            Input::Sample(source, packet) => self.receive(now, source, packet, false),
+            Input::Kept(source, packet) => self.receive(now, source, packet, true),
             Input::Tick => self.tick(now),
             Input::Teams(teams, is_stale) => {
                 self.outgoing.set_teams(teams, is_stale);
@@ -208,6 +205,15 @@ impl Bridge {
     #[must_use]
     pub fn robots(&self) -> &Robots {
         self.intake.robots()
+    }
+
+    /// Takes a sample of a source, as it was put or as its publisher kept it.
+    fn receive(&mut self, now: Tick, source: usize, packet: Packet, is_kept: bool) -> Vec<Output> {
+        self.counts.received += 1;
+        match self.intake.receive(now, source, packet, is_kept) {
+            Ok(()) => Vec::new(),
+            Err(refused) => self.refuse(now, refused),
+        }
     }
 
     fn tick(&mut self, now: Tick) -> Vec<Output> {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use muster_model::audit::{Audit, Quality};
 use muster_model::id::{RobotId, TeamId};
-use muster_model::roster::Roster;
+use muster_model::roster::{Roster, RosterEntry};
 use muster_model::settings::AuditorSettings;
 use muster_model::team_audit::TeamAudit;
 use muster_model::teams::{Team, Teams};
@@ -18,7 +18,7 @@ use muster_wire::json::EdgeJson as _;
 use super::Output;
 use super::publishers::Publishers;
 use super::refusals::Refusals;
-use super::robots::Robots;
+use super::robots::{Robots, Stream};
 use crate::config::Setup;
 
 /// How often everything is shown although nothing has changed: for those who come late, and so that the age is right.
@@ -116,7 +116,7 @@ impl Outgoing {
         self.is_new = false;
         self.shown = now;
         let mut outputs = self.robot_teams(now, setup, publishers, robots);
-        let shown = Shown { now, setup, outgoing: self, refusals };
+        let shown = Shown { now, setup, outgoing: self, robots, refusals };
         let topics = &setup.publish;
         let messages = [
             (&topics.teams, shown.teams()),
@@ -183,6 +183,7 @@ struct Shown<'a> {
     now: Tick,
     setup: &'a Setup,
     outgoing: &'a Outgoing,
+    robots: &'a Robots,
     refusals: &'a Refusals,
 }
 
@@ -338,7 +339,21 @@ impl Shown<'_> {
         self.status("muster: topics".to_owned(), level, message, reasons)
     }
 
-    /// Spheres at the robots of each team, and its name above them.
+    /// The coordinate frame of the fleet that the world is: that of the file, or that of the robots which this bridge brings.
+    /// While it brings none, that of the first robot that is anywhere.
+    fn frame<'a>(&'a self, roster: &'a Roster) -> Option<&'a str> {
+        let is_ours =
+            |entry: &&RosterEntry| self.robots.source(&entry.robot, Stream::Pose).is_some();
+        let mut placed = roster.robots.iter().filter(|entry| entry.position.is_some());
+        let of_roster = || {
+            let first = placed.clone().next();
+            placed.find(is_ours).or(first).and_then(|entry| entry.frame.as_deref())
+        };
+        self.setup.frame.as_deref().or_else(of_roster)
+    }
+
+    /// Spheres at the robots of each team, and its name above them. Robots of other frames are left out, since positions in
+    /// different frames are not comparable.
     fn markers(&self) -> Made {
         let (Some(teams), Some(roster)) = (&self.outgoing.teams, &self.outgoing.roster) else {
             return Ok(None);
@@ -346,9 +361,11 @@ impl Shown<'_> {
         let mut array = self.new_message("visualization_msgs/MarkerArray")?;
         // Teams that are gone leave nothing behind.
         let mut markers = vec![self.marker("", 0, 0, DELETE_ALL)?.into_value()];
+        let frame = self.frame(roster);
         let position = |robot: &RobotId| {
             let at = roster.robots.binary_search_by(|entry| entry.robot.cmp(robot)).ok()?;
-            roster.robots[at].position
+            let entry = &roster.robots[at];
+            entry.position.filter(|_| entry.frame.as_deref() == frame)
         };
         for (number, team) in teams.teams.iter().enumerate() {
             let members = team.members.iter().filter_map(|member| position(&member.robot));

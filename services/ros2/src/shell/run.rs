@@ -64,10 +64,10 @@ impl Shared {
         self.clock.now()
     }
 
-    /// A sample, on a thread of the bus.
-    fn receive(&self, source: usize, packet: Packet) {
+    /// A sample that was put, on a thread of the bus, or one that is kept.
+    fn receive(&self, sample: Input) {
         let now = self.now();
-        let outputs = self.bridge().handle(now, Input::Sample(source, packet));
+        let outputs = self.bridge().handle(now, sample);
         outputs.iter().for_each(say);
     }
 }
@@ -213,7 +213,7 @@ async fn subscribe(
     for (number, source) in setup.sources.iter().enumerate() {
         for pattern in &source.patterns {
             let shared = Arc::clone(shared);
-            let receive = move |packet| shared.receive(number, packet);
+            let receive = move |packet| shared.receive(Input::Sample(number, packet));
             subscriptions.push(ros.listen_foreign(pattern, MAX_SAMPLE_BYTES, receive).await?);
         }
     }
@@ -246,7 +246,10 @@ async fn ask_kept(ros: Bus, setup: Arc<Setup>, shared: Arc<Shared>) {
             }
             for pattern in &source.patterns {
                 match ros.get_kept(pattern, MAX_SAMPLE_BYTES, ASK_KEPT_WITHIN).await {
-                    Ok(kept) => kept.into_iter().for_each(|packet| shared.receive(number, packet)),
+                    Ok(kept) => {
+                        let kept = kept.into_iter().map(|packet| Input::Kept(number, packet));
+                        kept.for_each(|sample| shared.receive(sample));
+                    }
                     Err(error) => tracing::debug!("{error:#}"),
                 }
             }

@@ -343,3 +343,187 @@ fn what_a_robot_said_once_is_put_again_while_it_reports_where_it_is() {
     });
     assert_eq!(names.collect::<Vec<_>>(), ["r3", "r3"], "what it said before is forgotten");
 }
+
+/// The superiors among reports.
+fn superiors(reports: &[(String, Report)]) -> Vec<&str> {
+    let names = reports.iter().filter_map(|(_, report)| match report {
+        Report::Rank(rank) => rank.superior.as_ref(),
+        _ => None,
+    });
+    names.map(|superior| superior.as_str()).collect()
+}
+
+#[test]
+fn what_a_robot_said_once_holds_for_as_long_as_its_poses_come() {
+    let mut world = World::new(SUPERIORS);
+    let mut superior = world.message("std_msgs/String");
+    superior.set("data", "r1").unwrap();
+    world.put("r2/superior", &superior);
+    let pose = world.odometry("map", 1.0, 2.0);
+    let mut reports = Vec::new();
+    for _ in 0..200 {
+        world.put("r2/odom", &pose);
+        reports = idle(&mut world, 1).into_iter().chain(reports).take(20).collect();
+    }
+    assert!(superiors(&reports).len() >= 6, "still every two seconds: {reports:?}");
+    idle(&mut world, 75);
+    let used = world.bridge.memory_use();
+    assert_eq!((used.robots, used.topics), (0, 0), "it is gone");
+}
+
+#[test]
+fn what_a_publisher_keeps_is_not_late_however_much_it_is() {
+    let mut world = World::new(SUPERIORS);
+    let mut superior = world.message("std_msgs/String");
+    superior.set("data", "r1").unwrap();
+    for _ in 0..10 {
+        world.put("r2/superior", &superior);
+    }
+    idle(&mut world, 10);
+    for _ in 0..5 {
+        let newest = world.sequence;
+        world.sequence = newest - 10;
+        for _ in 0..10 {
+            assert_eq!(world.answer("r2/superior", &superior), []);
+        }
+        assert_eq!(ranks(&idle(&mut world, 10)), 0, "nothing of it is new");
+        assert_eq!(world.put("r2/superior", &superior), []);
+        assert_eq!(ranks(&idle(&mut world, 1)), 1, "the publisher goes on");
+    }
+    // What was lost is found among what is kept.
+    world.sequence += 1;
+    superior.set("data", "r3").unwrap();
+    assert_eq!(world.answer("r2/superior", &superior), []);
+    assert_eq!(superiors(&idle(&mut world, 1)), ["r3"]);
+    // Answers make up for no put that has the number of the one before.
+    let newest = world.sequence;
+    let mut said = Vec::new();
+    for _ in 0..20 {
+        world.sequence = newest - 1;
+        said.extend(world.put("r2/superior", &superior));
+        world.sequence = newest - 1;
+        said.extend(world.answer("r2/superior", &superior));
+    }
+    let [Output::Refused(refusal)] = &said[..] else { panic!("{said:?}") };
+    assert!(refusal.reason.contains("do not grow"), "{}", refusal.reason);
+}
+
+#[test]
+fn what_a_publisher_keeps_takes_the_place_of_no_other_that_is_there() {
+    let mut world = World::new(SUPERIORS);
+    let mut superior = world.message("std_msgs/String");
+    let mut send = |world: &mut World, publisher: u8, is_kept: bool| {
+        superior.set("data", format!("of-{publisher}")).unwrap();
+        world.gid = Gid([publisher; 16]);
+        world.sequence = i64::from(publisher);
+        let topic = "r2/superior";
+        let outputs =
+            if is_kept { world.answer(topic, &superior) } else { world.put(topic, &superior) };
+        assert_eq!(outputs, []);
+        let (reports, _) = world.tick();
+        superiors(&reports).join(" ")
+    };
+    assert_eq!(send(&mut world, 1, true), "of-1", "there is no other");
+    for _ in 0..10 {
+        for publisher in [2, 1] {
+            assert_eq!(send(&mut world, publisher, true), "", "the first one is there");
+        }
+        world.pass(10.0);
+    }
+    world.pass(100.0);
+    assert_eq!(send(&mut world, 2, true), "", "the bridge had no link, and the first is not gone");
+    assert_eq!(send(&mut world, 1, true), "");
+    assert_eq!(send(&mut world, 2, false), "of-2", "it appeared last");
+    for _ in 0..10 {
+        world.pass(10.0);
+        assert_eq!(send(&mut world, 1, true), "", "what it said was replaced");
+    }
+    assert_eq!(
+        send(&mut world, 3, true),
+        "of-3",
+        "the second is gone, and what this one put was lost"
+    );
+    world.pass(100.0);
+    assert_eq!(send(&mut world, 2, true), "", "what it said was replaced");
+}
+
+/// A message with all that a robot reports, on one topic.
+const ALL_IN_ONE: &str = r#"
+    [[pose]]
+    topic = "/{robot}/state"
+    type = "own_msgs/State"
+    definition = """
+    float64 x
+    float64 y
+    string superior
+    Link[] links
+    ================================================================================
+    MSG: own_msgs/Link
+    string peer
+    float32 quality
+    """
+    fields = { x = "x", y = "y" }
+    frame = "map"
+    [[links]]
+    topic = "/{robot}/state"
+    type = "own_msgs/State"
+    list = "links"
+    peer = "peer"
+    quality = "quality"
+    [[rank]]
+    topic = "/{robot}/state"
+    type = "own_msgs/State"
+    superior = "superior"
+"#;
+
+#[test]
+fn several_sources_read_one_topic() {
+    let mut world = World::new(ALL_IN_ONE);
+    let mut state = world.message("own_msgs/State");
+    state.set("superior", "r2").unwrap();
+    let link = Value::Struct(vec![Value::from("r2"), Value::from(0.5_f32)]);
+    state.set("links", Value::List(vec![link])).unwrap();
+    for round in 0..3 {
+        state.set("x", f64::from(round)).unwrap();
+        assert_eq!(world.put_to_all("r1/state", &state), []);
+        let (reports, reasons) = world.tick();
+        let [(_, Report::Pose(pose)), (_, Report::Links(links)), (_, Report::Rank(rank))] =
+            &reports[..]
+        else {
+            panic!("{reports:?} {reasons:?}")
+        };
+        near(pose, f64::from(round), 0.0, None);
+        assert_eq!((links.links.len(), rank.superior.as_ref().unwrap().as_str()), (1, "r2"));
+        world.pass(0.1);
+    }
+}
+
+#[test]
+fn a_topic_is_shown_as_read_while_any_source_reads_it() {
+    let mut world = World::new(ALL_IN_ONE);
+    let state = world.message("own_msgs/State");
+    world.put_to_all("r1/state", &state);
+    // What is kept is asked for where it holds, and comes to no source of poses.
+    let key = World::key(&state, "r1/state");
+    let packet = world.packet(key, &state);
+    let is_rank = |source: &muster_ros2::config::Source| {
+        matches!(source.content, muster_ros2::config::Content::Rank { .. })
+    };
+    let rank = world.setup.sources.iter().position(is_rank).unwrap();
+    let (mut declared, mut withdrawn) = (0, Vec::new());
+    for second in 0..200 {
+        if second < 100 {
+            let _ = world.bridge.handle(world.now, Input::Kept(rank, packet.clone()));
+        }
+        for output in world.bridge.handle(world.now, Input::Tick) {
+            match output {
+                Output::Declare(token) if token.contains("%r1%state") => declared += 1,
+                Output::Withdraw(token) if token.contains("%r1%state") => withdrawn.push(second),
+                _ => {}
+            }
+        }
+        world.pass(1.0);
+    }
+    assert_eq!(declared, 1);
+    assert!(matches!(withdrawn[..], [150..=180]), "{withdrawn:?}");
+}

@@ -185,22 +185,60 @@ fn messages_of_our_own_hold_the_division() {
     assert_eq!(found[0].at("stale"), Value::Bool(true));
 }
 
-#[test]
-fn markers_stand_where_the_robots_of_each_team_are() {
-    let mut world = World::new("");
-    let entry = |name: &str, x: f64| RosterEntry {
+/// A robot somewhere in a frame.
+fn entry(name: &str, x: f64, frame: Option<&str>) -> RosterEntry {
+    RosterEntry {
         node: 0,
         robot: robot(name),
         presence: Presence::Active,
         position: Some([x, 2.0, 0.0]),
         heading: None,
-        frame: None,
+        frame: frame.map(str::to_owned),
         superior: None,
         role: None,
         skills: Vec::new(),
         last_seen: Tick(0),
+    }
+}
+
+#[test]
+fn markers_leave_out_robots_of_other_frames() {
+    let drawn = |topics: &str, own: Option<&str>| {
+        let mut world = World::new(topics);
+        if let Some(name) = own {
+            let pose = world.odometry("map", 1.0, 2.0);
+            world.put(&format!("{name}/odom"), &pose);
+            world.tick();
+        }
+        let robots = vec![
+            entry("r1", 1.0, Some("hall")),
+            entry("r2", 3.0, Some("yard")),
+            entry("r3", 5.0, Some("yard")),
+        ];
+        let roster = Roster { header: header(1), robots, graphs: Vec::new() };
+        let _ = world.bridge.handle(world.now, Input::Roster(Arc::new(roster)));
+        let outputs = world.bridge.handle(world.now, Input::Teams(teams(1, &[]), false));
+        let found = shown(&world, &outputs, "muster/markers", "visualization_msgs/MarkerArray");
+        let count = found[0].at("markers").as_list().unwrap().len();
+        // Behind the one that takes all away: balls and a name of each team.
+        let names = (2..count).step_by(2).map(|number| {
+            let marker = format!("markers[{number}]");
+            let x = found[0].at(&format!("{marker}.pose.position.x")).as_f64().unwrap();
+            format!("{} {x}", found[0].text(&format!("{marker}.text")))
+        });
+        names.collect::<Vec<_>>()
     };
-    let robots = vec![entry("r1", 1.0), entry("r2", 3.0)];
+    assert_eq!(drawn("frame = \"yard\"", Some("r1")), ["t1 3", "t2 5"], "that of the file");
+    assert_eq!(drawn("", Some("r3")), ["t1 3", "t2 5"], "that of the robots of the bridge");
+    assert_eq!(drawn("", Some("r1")), ["t1 1"]);
+    assert_eq!(drawn("", None), ["t1 1"], "that of the first robot");
+    assert_eq!(drawn("frame = \"roof\"", Some("r1")), [""; 0]);
+}
+
+#[test]
+fn markers_stand_where_the_robots_of_each_team_are() {
+    let mut world = World::new("");
+    let robots = vec![entry("r1", 1.0, None), entry("r2", 3.0, None)];
     let roster = Roster { header: header(1), robots, graphs: Vec::new() };
     let _ = world.bridge.handle(world.now, Input::Roster(Arc::new(roster)));
     let outputs = world.bridge.handle(world.now, Input::Teams(teams(1, &[]), false));

@@ -79,6 +79,26 @@ impl World {
         self.bridge.handle(self.now, Input::Sample(self.source(topic), packet))
     }
 
+    /// What a publisher keeps, as it answers when it is asked.
+    pub(super) fn answer(&mut self, topic: &str, message: &Message) -> Vec<Output> {
+        let key = Self::key(message, topic);
+        let packet = self.packet(key, message);
+        self.bridge.handle(self.now, Input::Kept(self.source(topic), packet))
+    }
+
+    /// A message on a topic, as every source that reads it receives it.
+    pub(super) fn put_to_all(&mut self, topic: &str, message: &Message) -> Vec<Output> {
+        let packet = self.packet(Self::key(message, topic), message);
+        let mut outputs = Vec::new();
+        for source in 0..self.setup.sources.len() {
+            if self.setup.sources[source].topic.robot_of(topic).is_some() {
+                let input = Input::Sample(source, packet.clone());
+                outputs.extend(self.bridge.handle(self.now, input));
+            }
+        }
+        outputs
+    }
+
     pub(super) fn odometry(&self, frame: &str, x: f64, y: f64) -> Message {
         let mut message = self.message("nav_msgs/Odometry");
         message.set("header.frame_id", frame).unwrap();
