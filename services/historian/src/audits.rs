@@ -39,6 +39,11 @@ impl Audits {
         (!same).then(|| at.after(interval))
     }
 
+    /// What was recorded may be lost: the newest scores are recorded again.
+    pub(crate) fn forget(&mut self) {
+        self.recorded = None;
+    }
+
     /// The newest scores, if they are to be recorded now.
     pub(crate) fn take(&mut self, now: Tick, interval: Duration) -> Option<AuditRecord> {
         let newest = self.newest.clone().filter(|_| self.due(interval).is_some_and(|at| at <= now));

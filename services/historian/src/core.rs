@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use muster_model::event::{Event, EventKind, Severity};
+use muster_model::header::Revision;
 use muster_model::history::{
     EventRecord, HistoryAnswer, Page, Record, RecordingReport, RecordingState, Retention,
     SnapshotCause,
@@ -59,8 +60,8 @@ pub struct Historian {
     audits: Audits,
     fleet: Fleet,
     positions: Positions,
-    /// The settings of each service as recorded.
-    settings: BTreeMap<ServiceName, String>,
+    /// The settings of each service as recorded, and which output of it announced them.
+    settings: BTreeMap<ServiceName, (Revision, String)>,
     /// The newest report of the store.
     report: Option<RecordingReport>,
     /// How many records were lost since the start, and since recording was degraded.
@@ -107,12 +108,24 @@ impl Historian {
     ) {
         // A leader without a term announces what nobody is to take over.
         let AnnouncedSettings { header, service, settings, .. } = announced;
-        if header.revision.term == 0 || self.settings.get(service) == Some(settings) {
+        let known = self.settings.get(service).map(|(_, settings)| settings);
+        if header.revision.term == 0 || known == Some(settings) {
             return;
         }
-        self.settings.insert(*service, settings.clone());
         let (service, revision, settings) = (*service, header.revision, settings.clone());
+        self.settings.insert(service, (revision, settings.clone()));
         record(context, Record::Settings { service, revision, settings });
+    }
+
+    /// Records all that is in force once more: what was recorded of it may be lost, and services do not say it again.
+    fn record_again(&mut self, context: &mut HistorianContext<'_>) {
+        self.positions.forget();
+        self.audits.forget();
+        self.record_whole(context, SnapshotCause::Gap);
+        for (service, (revision, settings)) in &self.settings {
+            let (service, revision, settings) = (*service, *revision, settings.clone());
+            record(context, Record::Settings { service, revision, settings });
+        }
     }
 
     /// Records everything as a whole.
@@ -202,7 +215,7 @@ impl Historian {
         };
         if self.lookups.len() >= MAX_LOOKUPS {
             let problem = "too many gets wait for the history; ask again later";
-            return context.reply_error(get, Problem::new("(get)", problem).to_json());
+            return context.reply_error(get, Problem::unavailable("(get)", problem).to_json());
         }
         self.next_lookup += 1;
         self.lookups.insert(self.next_lookup, get);
@@ -339,9 +352,8 @@ impl Core for Historian {
         self.lost += report.lost;
         self.damaged = report.damaged.clone().or(self.damaged.take());
         // What comes next rests on nothing otherwise.
-        if report.lost > 0 {
-            self.positions.forget();
-            self.record_whole(context, SnapshotCause::Gap);
+        if report.lost > 0 || report.damaged.is_some() {
+            self.record_again(context);
         }
         self.report = Some(report);
         self.report_problem(context);

@@ -434,6 +434,36 @@ fn a_full_disk_is_told_once_and_after_a_loss_everything_is_recorded_as_a_whole()
 }
 
 #[test]
+fn after_a_loss_or_damage_scores_and_settings_are_recorded_again() {
+    let mut recording = Recording::start(vec![audit(1, 0.6, Quality::Good)]);
+    let settings = "{\"teams\":3}".to_owned();
+    recording.receive(Message::Settings(Box::new(AnnouncedSettings {
+        header: header(4),
+        service: ServiceName::Clusterer,
+        settings: settings.clone(),
+        changed: BTreeMap::new(),
+    })));
+    recording.take();
+    let (service, revision) = (ServiceName::Clusterer, header(4).revision);
+    let again = Record::Settings { service, revision, settings };
+    let lost = RecordingReport { lost: 1, ..RecordingReport::default() };
+    let damaged =
+        RecordingReport { damaged: Some("put aside".to_owned()), ..RecordingReport::default() };
+    for report in [lost, damaged] {
+        recording.bench.input(Input::Recorded(Box::new(report)));
+        recording.carry_out();
+        let records = recording.take();
+        assert!(records.contains(&again), "{records:?}");
+        let is_audit =
+            |record: &Record| matches!(record, Record::Audit(of) if of.mean == Some(0.6));
+        assert!(records.iter().any(is_audit), "{records:?}");
+    }
+    recording.bench.input(Input::Recorded(Box::default()));
+    recording.carry_out();
+    assert!(recording.take().is_empty(), "nothing was lost");
+}
+
+#[test]
 fn a_damaged_file_is_told_once_there_is_somebody_to_tell() {
     let mut recording = Recording::start(Vec::new());
     recording.events();

@@ -428,6 +428,81 @@ fn a_damaged_file_is_put_aside_and_a_new_one_begins() {
     }
 }
 
+/// Damage that `quick_check` does not find, or is not asked for.
+#[test]
+fn a_file_whose_content_is_none_of_a_history_is_put_aside() {
+    for damage in [
+        "UPDATE events SET source = 'nobody'",
+        "UPDATE divisions SET term = 'many'",
+        "DELETE FROM meta WHERE key = 'fleet'",
+        "UPDATE meta SET value = x'00' WHERE key = 'fleet'",
+        "DROP TABLE events",
+        "DROP TABLE meta",
+        "PRAGMA user_version = 0",
+        "",
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("history.sqlite");
+        let mut store = open(folder.path());
+        let start = division(&[None; 6], &[None; 6], 1, Some(SnapshotCause::Start));
+        let entries = [start, event(1, 10)].map(|record| Entry { at: Tick(START), record });
+        store.write(&entries).unwrap();
+        drop(store);
+        if damage.is_empty() {
+            // A file that is too large to be read as a whole at the start.
+            let mut bytes = std::fs::read(&path).unwrap();
+            bytes[4096..].fill(0x55);
+            std::fs::write(&path, &bytes).unwrap();
+            let file = std::fs::OpenOptions::new().write(true).open(&path).unwrap();
+            file.set_len(65 * 1024 * 1024).unwrap();
+        } else {
+            rusqlite::Connection::open(&path).unwrap().execute_batch(damage).unwrap();
+        }
+        let mut store = open(folder.path());
+        let told = store.take_damage().unwrap();
+        assert!(told.contains("history.sqlite.bad"), "{damage}: {told}");
+        assert!(folder.path().join("history.sqlite.bad").exists());
+        store.write(&[Entry { at: Tick(START), record: event(2, 10) }]).unwrap();
+        assert_eq!(events_of(&mut store), 1, "{damage}");
+    }
+}
+
+/// A new file cannot be made at first, since its damaged one cannot be renamed, and then since it cannot be opened.
+#[test]
+fn a_new_file_in_place_of_a_damaged_one_is_tried_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path());
+    let one = |number| [Entry { at: Tick(START + number), record: event(number, 10) }];
+    store.write(&one(1)).unwrap();
+    let path = store.path().unwrap().to_owned();
+    let present = Entry { at: Tick(START), record: Record::Present(Vec::new()) };
+    let damage = "INSERT INTO stays (robot, recorded_us) VALUES (x'ff', 0)";
+    rusqlite::Connection::open(&path).unwrap().execute_batch(damage).unwrap();
+    let in_the_way = ["bad", "journal"].map(|name| match name {
+        "bad" => folder.path().join("history.sqlite.bad"),
+        _ => folder.path().join("history.sqlite-journal"),
+    });
+    in_the_way.iter().for_each(|folder| std::fs::create_dir(folder).unwrap());
+    let failed = |written: Result<(), WriteError>, why: &str| match written {
+        Err(WriteError::Failed(problem)) => assert!(problem.contains(why), "{problem}"),
+        other => panic!("{other:?}"),
+    };
+    failed(store.write(&[present]), "cannot be renamed");
+    failed(store.write(&one(2)), "cannot be renamed");
+    assert_eq!(store.coverage().recorded_through, None, "it is in no file");
+    let asked = store.answer(&Query::of(Subject::Divisions));
+    assert!(asked.unwrap_err().contains("is damaged"));
+    std::fs::remove_dir(&in_the_way[0]).unwrap();
+    failed(store.write(&one(2)), "cannot make");
+    failed(store.write(&one(2)), "cannot make");
+    std::fs::remove_dir(&in_the_way[1]).unwrap();
+    let begun = store.write(&one(2)).unwrap_err();
+    assert!(matches!(&begun, WriteError::Damaged(told) if told.contains(".bad")), "{begun:?}");
+    store.write(&one(2)).unwrap();
+    assert_eq!((events_of(&mut store), store.coverage().sequence), (1, 2));
+    assert_eq!(events_of(&mut open(folder.path())), 0, "another instance has a file of its own");
+}
+
 #[test]
 fn damage_that_shows_while_it_is_written_leads_to_a_new_file_with_higher_numbers() {
     let folder = tempfile::tempdir().unwrap();
@@ -477,6 +552,25 @@ fn a_file_of_another_fleet_version_or_program_is_left_as_it_is() {
     pragma("PRAGMA user_version = 1; PRAGMA application_id = 7");
     assert!(refused("f").contains("no history"));
     assert!(!folder.path().join("history.sqlite.bad").exists());
+}
+
+#[test]
+fn nothing_is_written_to_a_file_of_another_program_without_a_version() {
+    for made in [
+        "CREATE TABLE things (thing)",
+        "CREATE TABLE things (thing); PRAGMA application_id = 7",
+        "PRAGMA user_version = 3",
+        "PRAGMA application_id = 7",
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("history.sqlite");
+        rusqlite::Connection::open(&path).unwrap().execute_batch(made).unwrap();
+        let before = std::fs::read(&path).unwrap();
+        let (fleet, instance) = (FleetId::new("f").unwrap(), InstanceId::new("i-1").unwrap());
+        let refused = FileRecords::open(Some(folder.path()), &fleet, &instance).unwrap_err();
+        assert!(refused.contains("no history of a fleet; move it away"), "{made}: {refused}");
+        assert!(std::fs::read(&path).unwrap() == before, "{made}");
+    }
 }
 
 #[test]
@@ -530,6 +624,111 @@ fn positions_go_with_their_minutes_but_for_those_that_others_rest_on() {
         let east: Vec<f64> = found.positions.values().map(|[east, _]| *east).collect();
         assert_eq!(east, [minute as f64 / 100.0, 0.0]);
     }
+}
+
+#[test]
+fn the_scores_in_force_stay_when_their_minute_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut file, mut memory) = (open(folder.path()), MemoryRecords::default());
+    let teams: Teams = [Some(0), Some(0), Some(1), None, None, None];
+    let at = |minute: u64, record| Entry { at: Tick(START + minute * MINUTE_US), record };
+    let scores = |mean| {
+        Record::Audit(AuditRecord {
+            revision: Revision { term: 1, epoch: 1 },
+            division: Revision { term: 1, epoch: 1 },
+            mean: Some(mean),
+            physical_mean: None,
+            verdict: Quality::Fair,
+            per_team: vec![(team(0), mean)],
+        })
+    };
+    let whole = || division(&teams, &teams, 1, Some(SnapshotCause::Periodic));
+    let entries =
+        [at(0, whole()), at(0, scores(0.1)), at(1, scores(0.2)), at(9, whole()), at(10, whole())];
+    let retention = Retention { before: Tick(START + 8 * MINUTE_US), max_bytes: u64::MAX };
+    let stores: [&mut dyn Records; 2] = [&mut file, &mut memory];
+    for store in stores {
+        store.write(&entries).unwrap();
+        while store.retain(&retention).unwrap() {}
+        assert_eq!(store.coverage().recorded_from, Some(Tick(START + 9 * MINUTE_US)));
+        let asked = Query::of(Subject::AsOf(Tick(START + 10 * MINUTE_US)));
+        let Rows::AsOf(Some(found)) = ask(store, &asked) else { panic!() };
+        let audit = found.audit.unwrap();
+        assert_eq!((audit.mean, audit.per_team.len()), (Some(0.2), 1));
+    }
+    let path = file.path().unwrap();
+    let count = "SELECT (SELECT count(*) FROM audits), (SELECT count(*) FROM audit_teams)";
+    let left: (i64, i64) = rusqlite::Connection::open(path)
+        .unwrap()
+        .query_row(count, [], |row| Ok((row.get(0)?, row.get(1)?)))
+        .unwrap();
+    assert_eq!(left, (1, 1));
+}
+
+/// A clock that was a year ahead for some minutes.
+#[test]
+fn minutes_from_the_future_hold_back_no_others_and_take_no_stays_with_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut file, mut memory) = (open(folder.path()), MemoryRecords::default());
+    let (ahead, at) = (365 * 24 * 60, |minute: u64| Tick(START + minute * MINUTE_US));
+    let joined = |number, minute| Entry { at: at(minute), record: Record::Joined(robot(number)) };
+    let left = |number, minute| {
+        let (robot, last_seen, reason) = (robot(number), at(minute), LeaveReason::Silent);
+        Entry { at: at(minute), record: Record::Left { robot, last_seen, reason } }
+    };
+    let mut entries = vec![joined(0, 0), left(0, 5)];
+    entries.extend((0..5).map(|minute| Entry { at: at(ahead + minute), record: event(1, 1) }));
+    entries.extend([joined(1, 20), left(1, 25), joined(2, 30), left(2, 35), joined(3, 40)]);
+    let stores: [&mut dyn Records; 2] = [&mut file, &mut memory];
+    for store in stores {
+        store.write(&entries).unwrap();
+        let mut retain = |minute, events, from, stays: &[usize]| {
+            let retention = Retention { before: at(minute), max_bytes: u64::MAX };
+            while store.retain(&retention).unwrap() {}
+            assert_eq!(events_of(store), events, "until {minute}");
+            assert_eq!(store.coverage().recorded_from, Some(at(from)), "until {minute}");
+            let Rows::Robots(rows) = ask(store, &Query::of(Subject::Robots(None))) else {
+                panic!()
+            };
+            let names: Vec<_> = rows.iter().rev().map(|row| row.robot.clone()).collect();
+            let wanted: Vec<_> = stays.iter().map(|number| robot(*number)).collect();
+            assert_eq!(names, wanted, "until {minute}");
+        };
+        retain(2, 5, 5, &[0, 1, 2, 3]);
+        // What came before is old, and nothing behind it.
+        retain(15, 5, ahead, &[1, 2, 3]);
+        retain(28, 0, 30, &[2, 3]);
+        retain(38, 0, 40, &[3]);
+    }
+}
+
+/// A reserve that cannot be made stands for a disk that is full.
+#[test]
+fn with_a_lower_limit_a_full_disk_gets_room_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path());
+    for minute in 0..40 {
+        let at = |n: u64| Tick(START + minute * MINUTE_US + n);
+        let entries: Vec<_> =
+            (0..200).map(|n| Entry { at: at(n), record: event(n, 1000) }).collect();
+        store.write(&entries).unwrap();
+    }
+    drop(store);
+    let reserve = folder.path().join("history.reserve");
+    std::fs::remove_file(&reserve).unwrap();
+    std::fs::create_dir(&reserve).unwrap();
+    let mut store = open(folder.path());
+    assert!(store.shortage().is_some());
+    let size = || std::fs::metadata(folder.path().join("history.sqlite")).unwrap().len();
+    let (limit, before) = (2 * 1024 * 1024, size());
+    assert!(before > 3 * limit, "{before}");
+    let retention = Retention { before: Tick(0), max_bytes: limit };
+    while store.retain(&retention).unwrap() {}
+    assert!(size() <= limit && store.coverage().bytes == size(), "{}", size());
+    let journal = folder.path().join("history.sqlite-wal");
+    assert!(std::fs::metadata(journal).unwrap().len() <= 1024 * 1024, "it fits into the reserve");
+    assert!(events_of(&mut store) > 200);
+    store.write(&[Entry { at: Tick(START + 40 * MINUTE_US), record: event(1, 1) }]).unwrap();
 }
 
 #[test]

@@ -2,20 +2,20 @@
 //! waits for it.
 
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use anyhow::Context;
 use muster_model::history::{Entry, Query, RecordingReport, Retention};
 use muster_model::id::{FleetId, InstanceId};
 use muster_service::Input;
-use muster_service::records::{MAX_BATCH_RECORDS, Recorder, Records};
+use muster_service::records::{MAX_BATCH_RECORDS, RecordQueue, Recorder, Records};
 use tokio::sync::oneshot;
 
-/// Most tasks that wait for the thread: four transactions. It takes them up while it waits for nothing but the disk.
-const MAX_WAITING_TASKS: usize = 4 * MAX_BATCH_RECORDS;
+/// Most tasks that wait for the thread: all gets that the core lets wait, and what is said of retention in some hours in
+/// which the disk hangs.
+const MAX_WAITING_TASKS: usize = 512;
 
 /// Where the records of an instance are kept.
 #[derive(Debug, Clone)]
@@ -41,16 +41,40 @@ pub struct RecordOptions {
 }
 
 enum Task {
-    Append(Box<Entry>),
-    LookUp { lookup: u64, query: Query },
+    /// A whole batch has arrived.
+    Batch,
+    LookUp {
+        lookup: u64,
+        query: Query,
+    },
     Retain(Retention),
+}
+
+/// Records that the thread has not taken up. Where the disk hangs, they wait by the rules of every queue of records.
+#[derive(Default)]
+struct Arriving(Mutex<RecordQueue>);
+
+impl Arriving {
+    fn queue(&self) -> MutexGuard<'_, RecordQueue> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Brings all of them to a recorder, and says how many were lost before.
+    fn bring_to(&self, recorder: &mut Recorder) -> u64 {
+        // The lock is held for a moment: the loop never waits for the recorder.
+        let (entries, lost) = {
+            let mut queue = self.queue();
+            (queue.take(), queue.take_lost())
+        };
+        entries.into_iter().for_each(|entry| recorder.append(entry));
+        lost
+    }
 }
 
 /// Hands tasks to the thread, which ends when the handle is gone and all records are written.
 pub(crate) struct RecordWriter {
     tasks: SyncSender<Task>,
-    /// Records that found the queue full.
-    overflow: Arc<AtomicU64>,
+    arriving: Arc<Arriving>,
 }
 
 impl RecordWriter {
@@ -60,27 +84,34 @@ impl RecordWriter {
         send: impl Fn(Input) + Send + 'static,
     ) -> anyhow::Result<(Self, oneshot::Receiver<()>)> {
         let (sender, tasks) = sync_channel(MAX_WAITING_TASKS);
-        let overflow = Arc::new(AtomicU64::new(0));
+        let arriving = Arc::new(Arriving::default());
         let (done, ended) = oneshot::channel();
-        let counted = Arc::clone(&overflow);
+        let taken = Arc::clone(&arriving);
         let span = tracing::Span::current();
         std::thread::Builder::new()
             .name("muster-records".to_owned())
             .spawn(move || {
                 let _service = span.enter();
                 let recorder = Recorder::new(move || (options.open)(&options.place));
-                run(recorder, &counted, &tasks, &send);
+                run(recorder, &taken, &tasks, &send);
                 let _ = done.send(());
             })
             .context("cannot start the thread that writes records")?;
-        Ok((Self { tasks: sender, overflow }, ended))
+        Ok((Self { tasks: sender, arriving }, ended))
     }
 
-    /// Appends a record; [`Input::Recorded`] follows. Never waits: one that finds the queue full is lost, and counted
-    /// in the next report.
+    /// Appends a record; [`Input::Recorded`] follows. Never waits for the disk: where too many records wait, the oldest
+    /// minutes are lost, and counted in the next report.
+    #[expect(clippy::boxed_local, reason = "commands have their record in a box")]
     pub(crate) fn append(&self, entry: Box<Entry>) {
-        if self.tasks.try_send(Task::Append(entry)).is_err() {
-            self.overflow.fetch_add(1, Ordering::Relaxed);
+        let waiting = {
+            let mut queue = self.arriving.queue();
+            queue.push(*entry);
+            queue.len()
+        };
+        if waiting == MAX_BATCH_RECORDS {
+            // A thread that has tasks is awake.
+            let _ = self.tasks.try_send(Task::Batch);
         }
     }
 
@@ -96,31 +127,28 @@ impl RecordWriter {
 }
 
 /// Drives a recorder by the clock until the handle is gone.
-fn run(
-    mut recorder: Recorder,
-    overflow: &AtomicU64,
-    tasks: &Receiver<Task>,
-    send: &impl Fn(Input),
-) {
+fn run(mut recorder: Recorder, arriving: &Arriving, tasks: &Receiver<Task>, send: &impl Fn(Input)) {
     // The first step opens the store and reports what it holds.
     let mut due = Instant::now();
     let mut had_problem = false;
+    let mut overflow = 0;
     loop {
         let wait = due.saturating_duration_since(Instant::now());
         match tasks.recv_timeout(wait) {
-            Ok(Task::Append(entry)) => recorder.append(*entry),
+            Ok(Task::Batch) | Err(RecvTimeoutError::Timeout) => {}
             Ok(Task::LookUp { lookup, query }) => {
                 send(Input::Found { lookup, page: recorder.answer(&query) });
             }
             Ok(Task::Retain(retention)) => recorder.retain(retention),
-            Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => {
-                recorder.step(overflow.swap(0, Ordering::Relaxed));
+                overflow += arriving.bring_to(&mut recorder);
+                recorder.step(overflow);
                 return;
             }
         }
+        overflow += arriving.bring_to(&mut recorder);
         if recorder.is_full() || Instant::now() >= due {
-            let step = recorder.step(overflow.swap(0, Ordering::Relaxed));
+            let step = recorder.step(std::mem::take(&mut overflow));
             due = Instant::now() + step.next;
             if let Some(report) = step.news {
                 log(&report, had_problem);
@@ -150,10 +178,10 @@ mod tests {
     use std::sync::mpsc;
     use std::time::Duration;
 
-    use muster_model::history::{Record, Rows, Subject};
+    use muster_model::history::{Coverage, Page, Record, Rows, Subject};
     use muster_model::id::RobotId;
     use muster_model::time::Tick;
-    use muster_service::records::MemoryRecords;
+    use muster_service::records::{MemoryRecords, WriteError};
 
     use super::*;
 
@@ -202,6 +230,60 @@ mod tests {
             panic!("no page");
         };
         assert!(matches!(page.rows, Rows::Robots(rows) if rows.len() == 1));
+    }
+
+    /// What is on the disk of [`Hanging`], which hangs as long as a test holds this.
+    static HANGING: Mutex<Vec<Entry>> = Mutex::new(Vec::new());
+
+    #[derive(Default)]
+    struct Hanging(MemoryRecords);
+
+    impl Records for Hanging {
+        fn write(&mut self, entries: &[Entry]) -> Result<(), WriteError> {
+            HANGING.lock().unwrap().extend_from_slice(entries);
+            self.0.write(entries)
+        }
+
+        fn coverage(&self) -> Coverage {
+            self.0.coverage()
+        }
+
+        fn retain(&mut self, retention: &Retention) -> Result<bool, WriteError> {
+            self.0.retain(retention)
+        }
+
+        fn answer(&mut self, query: &Query) -> Result<Page, String> {
+            self.0.answer(query)
+        }
+    }
+
+    #[test]
+    fn while_the_disk_hangs_the_oldest_records_are_lost_and_a_gap_stands_for_them() {
+        let (writer, inputs) = started(|_| Ok(Box::<Hanging>::default()));
+        report(&inputs);
+        let disk = HANGING.lock().unwrap();
+        // Far more than may wait, a minute for each thousand.
+        let count = 200_000;
+        for at in 1..=count {
+            writer.append(joined(at * 60_000));
+        }
+        drop(disk);
+        let mut lost = 0;
+        loop {
+            let report = report(&inputs);
+            lost += report.lost;
+            if report.coverage.recorded_through == Some(Tick(count * 60_000)) {
+                break;
+            }
+        }
+        let written = HANGING.lock().unwrap();
+        let gaps = written.iter().filter_map(|entry| match entry.record {
+            Record::Gap { records, .. } => Some(records),
+            _ => None,
+        });
+        let gaps: Vec<u64> = gaps.collect();
+        assert!(lost > 0 && gaps.iter().sum::<u64>() == lost, "{lost}, {gaps:?}");
+        assert_eq!(written.len() as u64, count - lost + gaps.len() as u64);
     }
 
     #[test]

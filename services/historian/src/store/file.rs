@@ -1,12 +1,15 @@
 //! How the file is found, opened, checked and put aside.
 
 use std::fs::{File, OpenOptions, TryLockError};
-use std::io::Write as _;
+use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use muster_model::history::Coverage;
 use muster_model::id::FleetId;
-use rusqlite::{Connection, ErrorCode};
+use rusqlite::{Connection, ErrorCode, OptionalExtension as _};
+
+use super::reading;
 
 /// Version of the schema, in `PRAGMA user_version`. Tables and columns may be added within a version.
 pub const SCHEMA_VERSION: i32 = 1;
@@ -42,6 +45,43 @@ const SCHEMA: &str = include_str!("schema.sql");
 
 /// Tables that came later within the version.
 const LATER_SCHEMA: &str = include_str!("positions.sql");
+
+/// An open file, and what is in it.
+pub(super) type Opened = (Connection, Coverage);
+
+/// Why a file is not opened.
+enum Unopened {
+    /// It is of another program, version or fleet.
+    Foreign(String),
+    /// What is in it cannot be read.
+    Damaged(String),
+    /// Anything else; another attempt may do.
+    Failed(rusqlite::Error),
+}
+
+impl From<rusqlite::Error> for Unopened {
+    fn from(error: rusqlite::Error) -> Self {
+        if is_damage(&error) { Self::Damaged(error.to_string()) } else { Self::Failed(error) }
+    }
+}
+
+impl Unopened {
+    /// Why the content of a history is not read: statements that do not fit its tables are a sign of damage as well.
+    fn of_content(error: rusqlite::Error) -> Self {
+        let misfits = matches!(error, rusqlite::Error::SqlInputError { .. })
+            || error.sqlite_error_code() == Some(ErrorCode::Unknown);
+        if misfits { Self::Damaged(error.to_string()) } else { error.into() }
+    }
+}
+
+impl std::fmt::Display for Unopened {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Foreign(text) | Self::Damaged(text) => formatter.write_str(text),
+            Self::Failed(error) => error.fmt(formatter),
+        }
+    }
+}
 
 /// The file of this instance, and its lock.
 #[derive(Debug)]
@@ -97,26 +137,20 @@ impl HistoryFile {
     ///
     /// # Errors
     /// If it cannot be opened, or is of a newer version or another fleet; the text names the remedy.
-    pub(super) fn open(&mut self, fleet: &FleetId) -> Result<(Connection, Option<String>), String> {
+    pub(super) fn open(&mut self, fleet: &FleetId) -> Result<(Opened, Option<String>), String> {
         self.fleet = Some(fleet.clone());
-        let opened = Connection::open(&self.path).and_then(|connection| {
-            prepare(&connection, fleet)?;
-            check(&connection, &self.path)?;
-            Ok(connection)
-        });
-        match opened {
-            Ok(connection) => {
-                check_kind(&connection, &self.path, fleet)?;
-                connection.execute_batch(LATER_SCHEMA).map_err(|error| {
-                    format!("cannot add tables to {}: {error}", self.path.display())
-                })?;
-                Ok((connection, None))
+        match self.try_open(fleet) {
+            Ok(opened) => Ok((opened, None)),
+            Err(Unopened::Damaged(why)) => {
+                let told = self.put_aside(&why)?;
+                match self.open_again() {
+                    Ok(opened) => Ok((opened, Some(told))),
+                    // The next attempt finds no damage.
+                    Err(problem) => Err(format!("{problem}; {told}")),
+                }
             }
-            Err(error) if is_damage(&error) => {
-                let told = self.put_aside(&error.to_string())?;
-                Ok((self.open_again()?, Some(told)))
-            }
-            Err(error) => Err(format!(
+            Err(Unopened::Foreign(problem)) => Err(problem),
+            Err(Unopened::Failed(error)) => Err(format!(
                 "cannot open {}: {error}; make the state directory writable and free space on its disk",
                 self.path.display()
             )),
@@ -127,25 +161,37 @@ impl HistoryFile {
     ///
     /// # Errors
     /// If it cannot be made.
-    pub(super) fn open_again(&self) -> Result<Connection, String> {
+    pub(super) fn open_again(&self) -> Result<Opened, String> {
         let fleet = self.fleet.as_ref().ok_or("the history was never open")?;
-        let opened = Connection::open(&self.path).and_then(|connection| {
-            prepare(&connection, fleet)?;
-            Ok(connection)
-        });
+        let opened = self.try_open(fleet);
         opened.map_err(|error| format!("cannot make {}: {error}", self.path.display()))
     }
 
-    /// Renames a damaged file, with its journal, to `….bad`.
+    /// Opens the file and reads what is in it, so that damage shows now; makes a new one if there is none.
+    fn try_open(&self, fleet: &FleetId) -> Result<Opened, Unopened> {
+        let connection = Connection::open(&self.path)?;
+        connection.busy_timeout(BUSY_TIMEOUT)?;
+        check_kind(&connection, &self.path, fleet)?;
+        prepare(&connection, fleet)?;
+        check(&connection, &self.path)?;
+        connection.execute_batch(LATER_SCHEMA)?;
+        let coverage = reading::coverage(&connection).map_err(Unopened::of_content)?;
+        Ok((connection, coverage))
+    }
+
+    /// Renames a damaged file, with its journal, to `….bad`. One that is gone already needs no other name.
     ///
     /// # Errors
     /// If it cannot be renamed.
     pub(super) fn put_aside(&self, why: &str) -> Result<String, String> {
         let shown = self.path.display();
         let bad = suffixed(&self.path, ".bad");
-        std::fs::rename(&self.path, &bad).map_err(|error| {
-            format!("{shown} is damaged ({why}) and cannot be renamed: {error}")
-        })?;
+        match std::fs::rename(&self.path, &bad) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                return Err(format!("{shown} is damaged ({why}) and cannot be renamed: {error}"));
+            }
+            _ => {}
+        }
         // The journal belongs to the old file, and would be taken for one of the new.
         let _ = std::fs::rename(suffixed(&self.path, "-wal"), suffixed(&bad, "-wal"));
         let _ = std::fs::remove_file(suffixed(&self.path, "-shm"));
@@ -205,17 +251,17 @@ fn suffixed(path: &Path, suffix: &str) -> PathBuf {
 ///
 /// # Errors
 /// If SQLite has no memory.
-pub(super) fn open_in_memory(fleet: &FleetId) -> Result<Connection, String> {
+pub(super) fn open_in_memory(fleet: &FleetId) -> Result<Opened, String> {
     let opened = Connection::open_in_memory().and_then(|connection| {
         prepare(&connection, fleet)?;
-        Ok(connection)
+        let coverage = reading::coverage(&connection)?;
+        Ok((connection, coverage))
     });
     opened.map_err(|error| format!("the history in memory cannot be made: {error}"))
 }
 
 /// Sets what is set for a connection, and makes the tables of a new file.
 fn prepare(connection: &Connection, fleet: &FleetId) -> rusqlite::Result<()> {
-    connection.busy_timeout(BUSY_TIMEOUT)?;
     // The first two hold for a new file alone, and must come before its first page.
     connection.pragma_update(None, "page_size", 4096)?;
     connection.pragma_update(None, "auto_vacuum", "INCREMENTAL")?;
@@ -240,9 +286,12 @@ fn prepare(connection: &Connection, fleet: &FleetId) -> rusqlite::Result<()> {
     Ok(())
 }
 
-/// Brings the journal into the file, as far as readers allow.
-pub(super) fn checkpoint(connection: &Connection) -> rusqlite::Result<()> {
-    connection.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(()))
+/// Brings the journal into the file, as far as readers allow. True if they allow all of it.
+pub(super) fn checkpoint(connection: &Connection) -> rusqlite::Result<bool> {
+    connection.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |row| {
+        let (pages, settled): (i64, i64) = (row.get(1)?, row.get(2)?);
+        Ok(pages == settled)
+    })
 }
 
 /// Lets the file grow, or holds it at the size that it has.
@@ -268,33 +317,57 @@ fn check(connection: &Connection, path: &Path) -> rusqlite::Result<()> {
     Err(rusqlite::Error::SqliteFailure(code, Some(found)))
 }
 
-/// A file of another program, version or fleet is left as it is.
-fn check_kind(connection: &Connection, path: &Path, fleet: &FleetId) -> Result<(), String> {
+/// A file of another program, version or fleet is left as it is. Nothing may be written before this.
+fn check_kind(connection: &Connection, path: &Path, fleet: &FleetId) -> Result<(), Unopened> {
     let shown = path.display();
-    let number = |pragma: &str| -> Result<i32, String> {
-        connection
-            .query_row(&format!("PRAGMA {pragma}"), [], |row| row.get(0))
-            .map_err(|error| format!("cannot read {shown}: {error}"))
+    let number = |pragma: &str| -> rusqlite::Result<i32> {
+        connection.query_row(&format!("PRAGMA {pragma}"), [], |row| row.get(0))
     };
-    if number("application_id")? != APPLICATION_ID {
-        return Err(format!("{shown} is no history of a fleet; move it away"));
+    let (application, version) = (number("application_id")?, number("user_version")?);
+    if application != APPLICATION_ID {
+        let count = "SELECT count(*) FROM sqlite_schema";
+        let tables: i64 = connection.query_row(count, [], |row| row.get(0))?;
+        // A file in which nothing is yet is to become a history.
+        if (application, version, tables) == (0, 0, 0) {
+            return Ok(());
+        }
+        return Err(Unopened::Foreign(format!("{shown} is no history of a fleet; move it away")));
     }
-    let version = number("user_version")?;
     if version > SCHEMA_VERSION {
-        return Err(format!(
+        return Err(Unopened::Foreign(format!(
             "{shown} has version {version}, and this program writes version {SCHEMA_VERSION}; use the program \
              that wrote it, or move the file away"
-        ));
+        )));
     }
-    let of: String = connection
-        .query_row("SELECT value FROM meta WHERE key = 'fleet'", [], |row| row.get(0))
-        .map_err(|error| format!("cannot read {shown}: {error}"))?;
-    if of != fleet.as_str() {
-        return Err(format!("{shown} is the history of fleet {of}; move it away"));
+    if version < 1 {
+        return Err(Unopened::Damaged(format!("it has version {version}")));
     }
-    Ok(())
+    let of = connection
+        .query_row("SELECT value FROM meta WHERE key = 'fleet'", [], |row| row.get::<_, String>(0))
+        .optional()
+        .map_err(Unopened::of_content)?;
+    match of {
+        Some(of) if of == fleet.as_str() => Ok(()),
+        Some(of) => {
+            Err(Unopened::Foreign(format!("{shown} is the history of fleet {of}; move it away")))
+        }
+        None => Err(Unopened::Damaged("it is of no fleet".to_owned())),
+    }
 }
 
+/// Whether an error says that a file is damaged: it is no database, or a value cannot be what we wrote.
 pub(super) fn is_damage(error: &rusqlite::Error) -> bool {
-    matches!(error.sqlite_error_code(), Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase))
+    use rusqlite::Error::{
+        FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnType, Utf8Error,
+    };
+    match error {
+        FromSqlConversionFailure(..)
+        | IntegralValueOutOfRange(..)
+        | InvalidColumnType(..)
+        | Utf8Error(..) => true,
+        _ => matches!(
+            error.sqlite_error_code(),
+            Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase)
+        ),
+    }
 }

@@ -29,12 +29,23 @@ const MAX_ATTEMPTS: usize = 8;
 /// limit on the size of files.
 const WRITE_REFUSED: i32 = 778;
 
+/// A damaged file in whose place there is no new one yet.
+#[derive(Debug)]
+enum Broken {
+    /// It still has its name. Why it is damaged.
+    There(String),
+    /// It is put aside. What is said of that.
+    Aside(String),
+}
+
 /// A store of records in a file, or in memory where there is no folder.
 #[derive(Debug)]
 pub struct FileRecords {
     /// None of a store in memory.
     file: Option<HistoryFile>,
     connection: Connection,
+    /// While there is one, the connection leads to no file.
+    broken: Option<Broken>,
     instance: InstanceId,
     coverage: Coverage,
     position: Position,
@@ -64,24 +75,25 @@ impl FileRecords {
         fleet: &FleetId,
         instance: &InstanceId,
     ) -> Result<Self, String> {
-        let (file, connection, damage) = match folder {
+        let (file, (connection, coverage), damage) = match folder {
             Some(folder) => {
                 let mut file = HistoryFile::lock(folder)?;
-                let (connection, damage) = file.open(fleet)?;
-                (Some(file), connection, damage)
+                let (opened, damage) = file.open(fleet)?;
+                (Some(file), opened, damage)
             }
             None => (None, file::open_in_memory(fleet)?, None),
         };
+        let position = Position::after(&coverage);
         let mut store = Self {
             file,
             connection,
+            broken: None,
             instance: instance.clone(),
-            coverage: Coverage::default(),
-            position: Position::default(),
+            coverage,
+            position,
             shortage: None,
             damage,
         };
-        store.load().map_err(|error| store.problem("cannot be read", &error))?;
         store.keep_reserve();
         Ok(store)
     }
@@ -90,12 +102,6 @@ impl FileRecords {
     #[must_use]
     pub fn path(&self) -> Option<&Path> {
         self.file.as_ref().map(HistoryFile::path)
-    }
-
-    fn load(&mut self) -> rusqlite::Result<()> {
-        self.coverage = reading::coverage(&self.connection)?;
-        self.position = Position::after(&self.coverage);
-        Ok(())
     }
 
     fn name(&self) -> String {
@@ -108,42 +114,51 @@ impl FileRecords {
 
     /// What follows from an error: a damaged file is put aside, and a new one begins.
     fn failed(&mut self, error: &rusqlite::Error) -> WriteError {
-        match error.sqlite_error_code() {
-            Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => {
-                self.begin_anew(&error.to_string())
+        if file::is_damage(error) {
+            // The file must not be open as it is renamed.
+            if let Ok(none) = Connection::open_in_memory() {
+                self.connection = none;
             }
-            _ if is_full(error) => WriteError::Full(self.problem(
+            self.coverage = Coverage::default();
+            self.begin_anew(Broken::There(error.to_string()))
+        } else if is_full(error) {
+            WriteError::Full(self.problem(
                 "cannot grow; free space on its disk, or lower max_mb below what the disk has",
                 error,
-            )),
-            _ => WriteError::Failed(self.problem("cannot be written", error)),
+            ))
+        } else {
+            WriteError::Failed(self.problem("cannot be written", error))
         }
     }
 
-    fn begin_anew(&mut self, why: &str) -> WriteError {
-        let Some(file) = &mut self.file else {
-            return WriteError::Failed(format!("the history in memory is damaged: {why}"));
+    /// Makes a new file in place of a broken one. Where that fails, the next write tries it again.
+    fn begin_anew(&mut self, broken: Broken) -> WriteError {
+        let Some(file) = &self.file else {
+            return WriteError::Failed("the history in memory is damaged".to_owned());
         };
-        // The file must not be open as it is renamed.
-        if let Ok(none) = Connection::open_in_memory() {
-            self.connection = none;
-        }
-        let told = match file.put_aside(why) {
-            Ok(told) => told,
-            Err(problem) => return WriteError::Failed(problem),
+        let aside = match broken {
+            Broken::Aside(told) => Ok(told),
+            Broken::There(why) => {
+                file.put_aside(&why).map_err(|problem| (Broken::There(why), problem))
+            }
         };
-        match file.open_again() {
-            Ok(connection) => self.connection = connection,
-            Err(problem) => return WriteError::Failed(problem),
-        }
-        // Numbers are never given twice, in a new file neither.
-        let sequence = self.coverage.sequence;
-        match self.load() {
-            Ok(()) => {
-                self.position.skip_to(sequence);
+        let begun = aside.and_then(|told| match file.open_again() {
+            Ok(opened) => Ok((opened, told)),
+            Err(problem) => Err((Broken::Aside(told), problem)),
+        });
+        match begun {
+            Ok(((connection, coverage), told)) => {
+                self.connection = connection;
+                // Numbers are never given twice, in a new file neither.
+                let before = std::mem::replace(&mut self.position, Position::after(&coverage));
+                self.position.skip_behind(&before);
+                self.coverage = coverage;
                 WriteError::Damaged(told)
             }
-            Err(error) => WriteError::Failed(self.problem("cannot be read", &error)),
+            Err((broken, problem)) => {
+                self.broken = Some(broken);
+                WriteError::Failed(problem)
+            }
         }
     }
 
@@ -174,7 +189,7 @@ impl FileRecords {
                     if self.shortage.is_some() {
                         file::may_grow(&self.connection, false)?;
                     }
-                    return settled;
+                    return settled.map(drop);
                 }
             }
             if self.shortage.is_none() {
@@ -208,6 +223,9 @@ fn is_full(error: &rusqlite::Error) -> bool {
 
 impl Records for FileRecords {
     fn write(&mut self, entries: &[Entry]) -> Result<(), WriteError> {
+        if let Some(broken) = self.broken.take() {
+            return Err(self.begin_anew(broken));
+        }
         // A file that may not grow, and has no minutes to give, would refuse everything for ever.
         if self.shortage.is_some() {
             self.keep_reserve();
@@ -241,6 +259,9 @@ impl Records for FileRecords {
     }
 
     fn retain(&mut self, retention: &Retention) -> Result<bool, WriteError> {
+        if let Some(broken) = self.broken.take() {
+            return Err(self.begin_anew(broken));
+        }
         let limit = match self.file {
             Some(_) => retention.max_bytes,
             None => retention.max_bytes.min(file::MAX_MEMORY_BYTES),
@@ -257,6 +278,9 @@ impl Records for FileRecords {
     }
 
     fn answer(&mut self, query: &Query) -> Result<Page, String> {
+        if self.broken.is_some() {
+            return Err(format!("{} is damaged, and there is no new one yet", self.name()));
+        }
         reading::answer(&self.connection, query)
             .map_err(|error| self.problem("cannot be read", &error))
     }

@@ -30,9 +30,9 @@ impl Position {
         Self { era: None, sequence: coverage.sequence, last: coverage.recorded_through }
     }
 
-    /// The next record has a higher number than this.
-    pub(super) fn skip_to(&mut self, sequence: u64) {
-        self.sequence = self.sequence.max(sequence);
+    /// The next record has a higher number than at another place.
+    pub(super) fn skip_behind(&mut self, other: &Self) {
+        self.sequence = self.sequence.max(other.sequence);
     }
 }
 

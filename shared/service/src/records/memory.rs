@@ -257,8 +257,9 @@ impl MemoryRecords {
         })
     }
 
-    /// Forgets what is before a number; of divisions, what is before the last whole one until then.
-    fn forget_before(&mut self, sequence: u64) {
+    /// Forgets what is before a number; of divisions, what is before the last whole one until then. Of stays, those that
+    /// ended before all that is kept, and before a moment.
+    fn forget_before(&mut self, sequence: u64, before: Tick) {
         let is_base = |(numbered, division): &(&Numbered, &DivisionRecord)| {
             numbered.sequence <= sequence && division.snapshot.is_some()
         };
@@ -269,12 +270,19 @@ impl MemoryRecords {
         let whole = self.positions().rev().find(is_whole).map(|(whole, _)| whole.sequence);
         let newest = self.positions().map(|(one, _)| one.sequence).filter(|one| *one <= sequence);
         let surveys = [whole, newest.max()];
-        let moment = self.records.iter().find(|numbered| numbered.sequence >= sequence);
-        let moment = moment.map_or(Tick(0), |numbered| numbered.at);
+        let audits = self.audits().map(|(audit, _)| audit.sequence);
+        let in_force = audits.filter(|audit| *audit <= sequence).max();
+        let kept = self.records.iter().filter(|numbered| numbered.sequence >= sequence);
+        let moment = kept.map(|numbered| Tick(minute(numbered))).min();
+        let moment = moment.map_or(before, |moment| moment.min(before));
         self.records.retain(|numbered| match numbered.record {
             Record::Division(_) => numbered.sequence >= base,
             Record::Positions(_) => {
                 numbered.sequence >= sequence || surveys.contains(&Some(numbered.sequence))
+            }
+            // The scores in force are known to the end.
+            Record::Audit(_) => {
+                numbered.sequence >= sequence || in_force == Some(numbered.sequence)
             }
             _ => numbered.sequence >= sequence,
         });
@@ -283,6 +291,11 @@ impl MemoryRecords {
         let first = self.records.iter().find(|numbered| numbered.sequence >= sequence);
         self.coverage.recorded_from = first.map(|first| first.at);
     }
+}
+
+/// The moment at which the minute of a record began, in microseconds.
+fn minute(numbered: &Numbered) -> u64 {
+    numbered.at.0 / MINUTE_US * MINUTE_US
 }
 
 fn is_periodic(division: &DivisionRecord) -> bool {
@@ -398,17 +411,20 @@ impl Records for MemoryRecords {
     }
 
     fn retain(&mut self, retention: &Retention) -> Result<bool, WriteError> {
-        let minute = |numbered: &Numbered| numbered.at.0 / MINUTE_US * MINUTE_US;
         let is_kept = |numbered: &&Numbered| numbered.sequence >= self.kept_from;
         let kept: Vec<&Numbered> = self.records.iter().filter(is_kept).collect();
-        let young = kept.iter().position(|one| minute(one) + MINUTE_US > retention.before.0);
-        // The last minute stays in any case.
+        let is_old = |one: &&Numbered| minute(one) + MINUTE_US <= retention.before.0;
         let last = kept.last().map(|last| minute(last));
+        // What a clock that was ahead has recorded goes once what came after it is old.
+        let is_young = |one: &&Numbered| !is_old(one) && Some(minute(one)) <= last;
+        let young = kept.iter().position(is_young).unwrap_or(kept.len());
+        let old = kept[..young].iter().rposition(is_old).map_or(0, |last| last + 1);
+        // The last minute stays in any case.
         let others = kept.iter().rposition(|one| Some(minute(one)) != last);
         let last = others.map_or(0, |before| before + 1);
-        let first = young.map_or(last, |young| young.min(last));
+        let first = old.min(last);
         if let Some(sequence) = kept.get(first).filter(|_| first > 0).map(|first| first.sequence) {
-            self.forget_before(sequence);
+            self.forget_before(sequence, retention.before);
         }
         Ok(false)
     }

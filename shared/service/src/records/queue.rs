@@ -2,18 +2,18 @@
 //!
 //! When too many wait, the oldest whole minutes go, and a record of the gap stands in their place. A division that
 //! holds only what changed says nothing without those before it: after a gap such records go as well, until one
-//! holds the whole division.
+//! holds the whole division. The same holds for positions.
 
 use std::collections::VecDeque;
 
-use muster_model::history::{DivisionRecord, Entry, Record};
+use muster_model::history::{DivisionRecord, Entry, PositionsRecord, Record};
 use muster_model::time::Tick;
 
 /// Most records that are written in one transaction.
 pub const MAX_BATCH_RECORDS: usize = 4096;
 
 /// Most records that wait: a busy quarter of an hour. A disk that is full for longer loses the oldest minutes.
-const MAX_WAITING_RECORDS: usize = 65_536;
+pub(super) const MAX_WAITING_RECORDS: usize = 65_536;
 
 /// Most bytes of records that wait, estimated: a few whole divisions of the largest fleet.
 const MAX_WAITING_BYTES: usize = 64 * 1024 * 1024;
@@ -34,6 +34,8 @@ pub struct RecordQueue {
     bytes: usize,
     /// Divisions are useless until one is whole.
     awaits_snapshot: bool,
+    /// Positions are useless until all of them are recorded.
+    awaits_survey: bool,
     lost: u64,
 }
 
@@ -58,6 +60,15 @@ fn is_snapshot(entry: &Entry) -> bool {
     matches!(&entry.record, Record::Division(DivisionRecord { snapshot: Some(_), .. }))
 }
 
+/// Positions that rest on the last whole ones.
+fn is_partial_survey(entry: &Entry) -> bool {
+    matches!(&entry.record, Record::Positions(PositionsRecord { is_whole: false, .. }))
+}
+
+fn is_whole_survey(entry: &Entry) -> bool {
+    matches!(&entry.record, Record::Positions(PositionsRecord { is_whole: true, .. }))
+}
+
 fn minute(at: Tick) -> u64 {
     at.0 / MINUTE_US
 }
@@ -65,13 +76,14 @@ fn minute(at: Tick) -> u64 {
 impl RecordQueue {
     /// Adds a record.
     pub fn push(&mut self, entry: Entry) {
-        if self.awaits_snapshot {
-            if is_change(&entry) {
-                self.lost += 1;
-                return;
-            }
-            self.awaits_snapshot = !is_snapshot(&entry);
+        let rests_on_lost = (self.awaits_snapshot && is_change(&entry))
+            || (self.awaits_survey && is_partial_survey(&entry));
+        if rests_on_lost {
+            self.lost += 1;
+            return;
         }
+        self.awaits_snapshot &= !is_snapshot(&entry);
+        self.awaits_survey &= !is_whole_survey(&entry);
         self.bytes += weight(&entry);
         self.waiting.push_back(entry);
         while self.waiting.len() > MAX_WAITING_RECORDS
@@ -107,10 +119,16 @@ impl RecordQueue {
         }
     }
 
-    /// What was written before is gone: divisions that hold only what changed are useless.
+    /// Takes out all that waits, for another queue. What was lost here stands as a gap among it.
+    pub fn take(&mut self) -> VecDeque<Entry> {
+        self.bytes = 0;
+        std::mem::take(&mut self.waiting)
+    }
+
+    /// What was written before is gone: divisions and positions that hold only what changed are useless.
     pub fn interrupt(&mut self) {
         self.drop_changes();
-        // Something was lost in any case, so that a whole division follows.
+        // Something was lost in any case, so that whole ones follow.
         self.lost += 1;
     }
 
@@ -136,8 +154,14 @@ impl RecordQueue {
         while let Some(entry) = self.waiting.front().filter(|entry| minute(entry.at) == dropped) {
             self.bytes = self.bytes.saturating_sub(weight(entry));
             until = entry.at;
-            records += 1;
-            self.lost += 1;
+            match &entry.record {
+                // A gap that came with its records from another queue, which has counted them.
+                Record::Gap { records: before, .. } => records += before,
+                _ => {
+                    records += 1;
+                    self.lost += 1;
+                }
+            }
             self.waiting.pop_front();
         }
         let gap = Entry { at: until, record: Record::Gap { from, until, records } };
@@ -146,14 +170,18 @@ impl RecordQueue {
         self.drop_changes();
     }
 
-    /// Drops divisions that hold only what changed, up to a whole one.
+    /// Drops divisions and positions that hold only what changed, up to whole ones.
     fn drop_changes(&mut self) {
-        let whole = self.waiting.iter().position(is_snapshot);
-        self.awaits_snapshot = whole.is_none();
-        let end = whole.unwrap_or(self.waiting.len());
+        let snapshot = self.waiting.iter().position(is_snapshot);
+        let survey = self.waiting.iter().position(is_whole_survey);
+        self.awaits_snapshot = snapshot.is_none();
+        self.awaits_survey = survey.is_none();
+        let is_before = |at: usize, whole: Option<usize>| whole.is_none_or(|whole| at < whole);
         let mut kept = VecDeque::with_capacity(self.waiting.len());
         for (at, entry) in std::mem::take(&mut self.waiting).into_iter().enumerate() {
-            if at < end && is_change(&entry) {
+            let rests_on_lost = (is_change(&entry) && is_before(at, snapshot))
+                || (is_partial_survey(&entry) && is_before(at, survey));
+            if rests_on_lost {
                 self.bytes = self.bytes.saturating_sub(weight(&entry));
                 self.lost += 1;
             } else {
@@ -250,6 +278,53 @@ mod tests {
         assert_eq!((queue.take_lost(), queue.len()), (1, 4));
         queue.interrupt();
         assert_eq!((queue.take_lost(), queue.len()), (1, 4), "a whole one is among them");
+    }
+
+    #[test]
+    fn after_a_gap_positions_wait_for_all_of_them() {
+        let survey = |is_whole, robots: usize| {
+            let robots = vec![(robot(), [0, 0]); robots];
+            Record::Positions(PositionsRecord { is_whole, robots })
+        };
+        let mut queue = RecordQueue::default();
+        let robots = MAX_WAITING_BYTES / LINE_BYTES / 2;
+        queue.push(at(0, survey(true, robots)));
+        queue.push(at(1, survey(false, 1)));
+        queue.push(at(1, survey(false, robots)));
+        // The whole one went with its minute, and what rests on it.
+        assert_eq!(queue.take_lost(), 3);
+        assert!(matches!(queue.batch(), [Entry { record: Record::Gap { records: 1, .. }, .. }]));
+        // A whole division does not help positions, nor they a division.
+        queue.push(at(2, division(Some(SnapshotCause::Gap), 1)));
+        queue.push(at(2, survey(false, 1)));
+        queue.push(at(2, division(None, 1)));
+        assert_eq!((queue.take_lost(), queue.len()), (1, 3));
+        queue.push(at(2, survey(true, 1)));
+        queue.push(at(2, survey(false, 1)));
+        assert_eq!((queue.take_lost(), queue.len()), (0, 5));
+        queue.written();
+        queue.push(at(3, survey(false, 1)));
+        queue.interrupt();
+        queue.push(at(3, survey(false, 1)));
+        assert_eq!((queue.take_lost(), queue.len()), (3, 0), "the whole one was written before");
+    }
+
+    #[test]
+    fn a_gap_of_another_queue_keeps_its_count() {
+        let (mut first, mut second) = (RecordQueue::default(), RecordQueue::default());
+        let each = MAX_WAITING_RECORDS as u64;
+        for (minute, count) in [(0, each), (1, each - 1)] {
+            for _ in 0..count {
+                first.push(at(minute, Record::Joined(robot())));
+            }
+        }
+        assert_eq!(first.take_lost(), each);
+        second.push(at(0, Record::Joined(robot())));
+        first.take().into_iter().for_each(|entry| second.push(entry));
+        assert!(first.is_empty() && first.bytes == 0);
+        assert_eq!(second.take_lost(), 1, "the others are counted");
+        let gap = Record::Gap { from: START, until: START, records: each + 1 };
+        assert_eq!(second.batch()[0], Entry { at: START, record: gap });
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use muster_model::history::{Coverage, Entry, Page, Query, RecordingReport, Retention};
 
+use super::queue::MAX_WAITING_RECORDS;
 use super::{MAX_BATCH_RECORDS, RecordQueue, Records, WriteError};
 
 /// How often records are written: each transaction waits for the disk.
@@ -12,9 +13,9 @@ pub const COMMIT_INTERVAL: Duration = Duration::from_secs(1);
 /// How soon records that could not be written are tried again: each attempt is a line in the log.
 pub const RETRY_INTERVAL: Duration = Duration::from_secs(5);
 
-/// Most batches of one step. A batch that finds a damaged file is written again, so that this is twice what may wait
-/// between the caller and the queue.
-const MAX_BATCHES: usize = 8;
+/// Most batches of one step. A batch that finds a damaged file is written again, so that this is twice what may wait: the
+/// last step of a process writes all of it.
+const MAX_BATCHES: usize = 2 * MAX_WAITING_RECORDS / MAX_BATCH_RECORDS;
 
 /// What opens a store; it is called again after an error.
 type Open = Box<dyn FnMut() -> Result<Box<dyn Records>, String> + Send>;
@@ -77,12 +78,9 @@ impl Recorder {
         self.queue.len() >= MAX_BATCH_RECORDS && !is_failing
     }
 
-    /// Writes what waits, and forgets what is to be forgotten. `overflow` counts the records that were lost before they
-    /// reached the recorder.
+    /// Writes what waits, and forgets what is to be forgotten. `overflow` counts the records that a queue before the
+    /// recorder has lost: their gap has come with the others, and nothing that rests on them has.
     pub fn step(&mut self, overflow: u64) -> Step {
-        if overflow > 0 {
-            self.queue.interrupt();
-        }
         let mut report = RecordingReport::default();
         if let Err(problem) = self.write(&mut report) {
             report.problem = Some(problem);
