@@ -3,13 +3,21 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use muster_tests::client::{Client, Division, division};
+use muster_tests::client::{Client, Division, division, now};
 use muster_tests::cluster::{Cluster, SERVICES};
+use muster_tests::{BUSY, SOON};
 use serde_json::{Value, json};
 
 use crate::pipeline::{FORMED_WITHIN, formed, truth};
+use crate::restarts::stage;
 
 const SCENARIO: [&str; 4] = ["--scenario", "clusters", "--robots", "8"];
+
+/// Tokens of a stranger, under a name each.
+const STRANGERS: usize = 5_000;
+
+/// How long teams may pause meanwhile: 2.7 s were measured, and 10.6 s when each name cost as much as a robot.
+const MOST_PAUSE_S: f64 = 4.0 * BUSY as f64;
 
 const BINARY: &str = "application/octet-stream;bincode";
 
@@ -258,4 +266,44 @@ async fn garbage_right_behind_a_good_message_does_not_displace_it() {
     client.put("robot/r0/pose", &json!({"x": 0.0, "y": 0.0})).await.unwrap();
     let has_all = |graph: &Value| graph["edges"].as_array().is_some_and(|edges| edges.len() == 20);
     client.until("graph/hierarchy?format=json", Duration::from_secs(8), has_all).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn tokens_of_a_stranger_under_many_names_hold_nobody_up() {
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
+    let _robots = cluster.robots(&SCENARIO).unwrap();
+    let client = cluster.client().await.unwrap();
+    let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;
+    let stranger = cluster.client().await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+
+    let since = now();
+    let mut tokens = Vec::new();
+    for number in 0..STRANGERS {
+        tokens.push(stranger.token(&format!("robot/x{number}")).await.unwrap());
+    }
+    for token in tokens {
+        token.undeclare().await.unwrap();
+    }
+    // The fleet has seen all of them once it divides robots by what came after them.
+    let last = now();
+    let is_later = |value: &Value| stage(value, "ingest") > last;
+    teams.until("teams of later reports", FORMED_WITHIN, is_later).await.unwrap();
+    // When each division of fresher data came.
+    let (mut newest, mut pause, mut before) = (since, 0.0_f64, since);
+    for (at, value) in teams.timed() {
+        let data = stage(&value, "ingest");
+        if data > newest {
+            pause = pause.max(at - before);
+            (newest, before) = (data, at);
+        }
+    }
+    println!("{pause:.1} s without teams");
+    assert!(pause < MOST_PAUSE_S, "{pause} s without teams");
+    let gone = || async { robots(&client).await.len() == wanted.len() };
+    while !gone().await {
+        assert!(now() - last < SOON.as_secs_f64(), "names of a stranger stay in the roster");
+        tokio::time::sleep(Duration::from_millis(500)).await;
+    }
+    nothing_has_changed(&client, &wanted).await;
 }

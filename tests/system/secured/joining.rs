@@ -1,4 +1,4 @@
-//! Joining a secured bus while strangers begin handshakes and fall silent.
+//! Joining a secured bus while strangers begin handshakes and fall silent, and a robot hears no answer.
 
 use std::collections::HashMap;
 use std::io::{Read, Write};
@@ -43,6 +43,67 @@ const SILENT: usize = 150;
 const BETWEEN: [(&str, Duration); 2] =
     [("quic", Duration::from_secs(1)), ("tls", Duration::from_millis(50))];
 
+/// The configuration of a member that tries for a second to open a session at an address.
+fn config_at(identity: &Path, protocol: &str, address: SocketAddr) -> zenoh::Config {
+    let mut config = zenoh::Config::from_file(identity).unwrap();
+    let endpoint = format!("[\"{protocol}/{address}\"]");
+    config.insert_json5("connect/endpoints", &endpoint).unwrap();
+    config.insert_json5("connect/timeout_ms", "1000").unwrap();
+    config.insert_json5("transport/link/protocols", "null").unwrap();
+    config
+}
+
+/// A way to a router over which nothing comes back.
+fn one_way(protocol: &str, router: SocketAddr) -> SocketAddr {
+    if protocol == "quic" {
+        let from_robots = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let address = from_robots.local_addr().unwrap();
+        thread::spawn(move || {
+            let mut sockets: HashMap<SocketAddr, UdpSocket> = HashMap::new();
+            let mut bytes = [0; 4096];
+            while let Ok((length, from)) = from_robots.recv_from(&mut bytes) {
+                let to_router =
+                    sockets.entry(from).or_insert_with(|| UdpSocket::bind("127.0.0.1:0").unwrap());
+                // As long as nobody listens it is refused.
+                let _ = to_router.send_to(&bytes[..length], router);
+            }
+        });
+        return address;
+    }
+    let from_robots = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = from_robots.local_addr().unwrap();
+    thread::spawn(move || {
+        for mut from_robot in from_robots.incoming().flatten() {
+            thread::spawn(move || {
+                let mut to_router = TcpStream::connect(router)?;
+                std::io::copy(&mut from_robot, &mut to_router)
+            });
+        }
+    });
+    address
+}
+
+/// A robot that goes on trying to join, and hears no answer. Returns how often it has tried.
+fn robot_that_hears_nothing(
+    identity: &Path,
+    protocol: &'static str,
+    router: SocketAddr,
+    ended: Arc<AtomicBool>,
+) -> JoinHandle<usize> {
+    let address = one_way(protocol, router);
+    let identity = identity.to_owned();
+    thread::spawn(move || {
+        for number in 0.. {
+            if ended.load(Ordering::Relaxed) {
+                return number;
+            }
+            let session = zenoh::open(config_at(&identity, protocol, address)).wait();
+            assert!(session.is_err(), "it has heard an answer");
+        }
+        0
+    })
+}
+
 /// The first bytes of handshakes as clients of Zenoh send them, to an address where nobody answers.
 fn beginnings(identity: &Path, protocol: &'static str) -> Vec<Vec<u8>> {
     let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
@@ -52,15 +113,8 @@ fn beginnings(identity: &Path, protocol: &'static str) -> Vec<Vec<u8>> {
         _ => tcp.local_addr().unwrap(),
     };
     for _ in 0..STRANGERS {
-        let identity = identity.to_owned();
-        thread::spawn(move || {
-            let mut config = zenoh::Config::from_file(identity).unwrap();
-            let endpoint = format!("[\"{protocol}/{nowhere}\"]");
-            config.insert_json5("connect/endpoints", &endpoint).unwrap();
-            config.insert_json5("connect/timeout_ms", "1000").unwrap();
-            config.insert_json5("transport/link/protocols", "null").unwrap();
-            drop(zenoh::open(config).wait());
-        });
+        let config = config_at(identity, protocol, nowhere);
+        thread::spawn(move || drop(zenoh::open(config).wait()));
     }
     let mut found: HashMap<SocketAddr, Vec<u8>> = HashMap::new();
     let start = Instant::now();
@@ -153,7 +207,7 @@ async fn services(operator: &Client) -> usize {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn forty_clients_are_back_at_once_while_strangers_begin_handshakes_and_fall_silent() {
+async fn forty_clients_are_back_at_once_while_strangers_fall_silent_and_a_robot_hears_nothing() {
     for protocol in ["quic", "tls"] {
         let mut secured = Secured::start_over(protocol, &["base"]);
         let identity = secured.identity("robot.a1");
@@ -180,6 +234,7 @@ async fn forty_clients_are_back_at_once_while_strangers_begin_handshakes_and_fal
         again.until_prints("router listens at", SOON).unwrap();
         let start = Instant::now();
         strangers.router_listens();
+        let deaf = robot_that_hears_nothing(&identity, protocol, router, strangers.ended.clone());
         secured.routers[0] = again;
         let back = async {
             loop {
@@ -205,6 +260,8 @@ async fn forty_clients_are_back_at_once_while_strangers_begin_handshakes_and_fal
         assert!(robot.is_ok(), "{protocol}: {robot:?}");
         let count = strangers.end();
         assert!(count > 2, "{protocol}: {count} strangers came");
+        let tried = deaf.join().unwrap();
+        assert!(tried > 0, "{protocol}: the robot that hears nothing has not tried");
     }
 }
 
