@@ -269,7 +269,7 @@ async fn garbage_right_behind_a_good_message_does_not_displace_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn tokens_of_a_stranger_under_many_names_hold_nobody_up() {
+async fn tokens_of_a_stranger_under_many_names_do_not_stop_the_fleet() {
     let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();

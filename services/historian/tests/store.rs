@@ -418,8 +418,8 @@ fn a_damaged_file_is_put_aside_and_a_new_one_begins() {
         }
         std::fs::write(&path, &bytes).unwrap();
         let mut store = open(folder.path());
-        let told = store.take_damage().unwrap();
-        assert!(told.contains("history.sqlite.bad") && store.take_damage().is_none(), "{told}");
+        let notice = store.take_damage().unwrap();
+        assert!(notice.contains("history.sqlite.bad") && store.take_damage().is_none(), "{notice}");
         assert!(folder.path().join("history.sqlite.bad").exists());
         assert_eq!(events_of(&mut store), 0);
         store.write(&[Entry { at: Tick(START), record: event(2, 10) }]).unwrap();
@@ -432,7 +432,7 @@ fn a_damaged_file_is_put_aside_and_a_new_one_begins() {
 #[test]
 fn a_file_whose_content_is_none_of_a_history_is_put_aside() {
     for damage in [
-        "UPDATE events SET source = 'nobody'",
+        "UPDATE events SET source = 'x'",
         "UPDATE divisions SET term = 'many'",
         "DELETE FROM meta WHERE key = 'fleet'",
         "UPDATE meta SET value = x'00' WHERE key = 'fleet'",
@@ -459,8 +459,8 @@ fn a_file_whose_content_is_none_of_a_history_is_put_aside() {
             rusqlite::Connection::open(&path).unwrap().execute_batch(damage).unwrap();
         }
         let mut store = open(folder.path());
-        let told = store.take_damage().unwrap();
-        assert!(told.contains("history.sqlite.bad"), "{damage}: {told}");
+        let notice = store.take_damage().unwrap();
+        assert!(notice.contains("history.sqlite.bad"), "{damage}: {notice}");
         assert!(folder.path().join("history.sqlite.bad").exists());
         store.write(&[Entry { at: Tick(START), record: event(2, 10) }]).unwrap();
         assert_eq!(events_of(&mut store), 1, "{damage}");
@@ -497,7 +497,7 @@ fn a_new_file_in_place_of_a_damaged_one_is_tried_again() {
     failed(store.write(&one(2)), "cannot make");
     std::fs::remove_dir(&in_the_way[1]).unwrap();
     let begun = store.write(&one(2)).unwrap_err();
-    assert!(matches!(&begun, WriteError::Damaged(told) if told.contains(".bad")), "{begun:?}");
+    assert!(matches!(&begun, WriteError::Damaged(notice) if notice.contains(".bad")), "{begun:?}");
     store.write(&one(2)).unwrap();
     assert_eq!((events_of(&mut store), store.coverage().sequence), (1, 2));
     assert_eq!(events_of(&mut open(folder.path())), 0, "another instance has a file of its own");
@@ -521,8 +521,8 @@ fn damage_that_shows_while_it_is_written_leads_to_a_new_file_with_higher_numbers
     for number in 0..5000 {
         match store.write(&[Entry { at: Tick(START + number), record: event(number, 200) }]) {
             Ok(()) => {}
-            Err(WriteError::Damaged(told)) => {
-                damaged = Some(told);
+            Err(WriteError::Damaged(notice)) => {
+                damaged = Some(notice);
                 break;
             }
             Err(other) => panic!("{other}"),

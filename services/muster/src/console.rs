@@ -73,6 +73,7 @@ pub(crate) fn reply<T>(result: Result<T, Error>) -> Result<Option<T>, Error> {
 #[cfg(test)]
 mod tests {
     use clap::Parser;
+    use muster_model::id::ServiceName;
     use muster_runtime::config::ProcessArgs;
 
     use super::*;
@@ -81,6 +82,19 @@ mod tests {
     struct Arguments {
         #[command(flatten)]
         process: ProcessArgs,
+    }
+
+    #[test]
+    fn what_passes_is_no_wrong_flag() {
+        let service = ServiceName::Clusterer;
+        let reason = String::new;
+        for (error, exit) in [
+            (Error::Refused { service, reason: reason() }, Exit::Usage),
+            (Error::Unavailable { service, reason: reason() }, Exit::Unreachable),
+            (Error::Unstored { service, reason: reason() }, Exit::Failure),
+        ] {
+            assert_eq!(exit_error(error).exit, exit);
+        }
     }
 
     #[test]

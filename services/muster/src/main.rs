@@ -243,7 +243,7 @@ where
     commanding(config, None, job)
 }
 
-/// The same for one that may change something, which `shown_by` shows. Where a signal ends it, nobody knows whether it has.
+/// The same for one that may change something, which `shown_by` shows. Where a signal ends it, it is not known whether it has.
 fn commanding<F>(config: &ProcessConfig, shown_by: Option<&str>, job: F) -> anyhow::Result<()>
 where
     F: AsyncFnOnce(ProcessConfig) -> anyhow::Result<()>,

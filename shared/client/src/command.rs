@@ -4,13 +4,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use muster_bus::{Answer, Ask, Target};
+use muster_bus::{Ask, Target};
 use muster_model::alert::{AcknowledgeAlert, Alerts};
 use muster_model::command::{Action, OperatorCommand};
 use muster_model::header::Revision;
 use muster_model::id::{CommandId, OperatorId, ServiceName, WishId};
 use muster_model::wish::{StandingWish, Wish};
-use muster_wire::{Key, Packet};
+use muster_wire::Key;
 use serde_json::{Map, Value};
 
 use crate::client::Client;
@@ -51,7 +51,8 @@ impl Client {
         let key = Key::Command(service, operator.clone(), command_id(now.0)?);
         let mut unavailable = None;
         loop {
-            let answered = self.command_once(service, &key, &payload).await;
+            let ask = Ask { payload: Some(&payload), ..ask_for("format=json", Target::Complete) };
+            let answered = self.json_of_leader(service, &key, ask).await;
             let since: Instant = *unavailable.get_or_insert_with(Instant::now);
             if !matches!(answered, Err(Error::Unavailable { .. }))
                 || since.elapsed() >= UNAVAILABLE_TIME
@@ -61,27 +62,6 @@ impl Client {
             // The same command again is carried out once.
             tokio::time::sleep(UNAVAILABLE_PAUSE).await;
         }
-    }
-
-    /// Sends a command and waits for its answer.
-    async fn command_once(
-        &self,
-        service: ServiceName,
-        key: &Key,
-        payload: &[u8],
-    ) -> Result<Value, Error> {
-        let ask = Ask { payload: Some(payload), ..ask_for("format=json", Target::Complete) };
-        let mut refused = None;
-        for answer in self.get_of_leader(service, key, ask).await? {
-            match answer {
-                Answer::Packet(Packet { payload: Ok(payload), .. }) => {
-                    return serde_json::from_slice(&payload).map_err(Error::bus);
-                }
-                Answer::Packet(_) => {}
-                Answer::Error(error) => refused = Some(Error::reply(service, &error)),
-            }
-        }
-        Err(refused.unwrap_or_else(|| self.unanswered(key)))
     }
 
     /// Changes settings of a service, and returns all of them. The patch is a JSON object with the fields to change; it is

@@ -231,18 +231,8 @@ impl Client {
     /// [`Error::Unanswered`] if the service does not run, [`Error::Unavailable`] if no instance of it leads yet,
     /// [`Error::Denied`] if the rules of the router drop the get, [`Error::Bus`] if the bus fails or the reply is no JSON.
     pub async fn get_settings(&self, service: ServiceName) -> Result<Value, Error> {
-        let (key, ask) = (Key::Settings(service), ask_for("format=json", Target::Complete));
-        let mut refused = None;
-        for answer in self.get_of_leader(service, &key, ask).await? {
-            match answer {
-                Answer::Packet(Packet { payload: Ok(payload), .. }) => {
-                    return serde_json::from_slice(&payload).map_err(Error::bus);
-                }
-                Answer::Packet(_) => {}
-                Answer::Error(error) => refused = Some(Error::reply(service, &error)),
-            }
-        }
-        Err(refused.unwrap_or_else(|| self.unanswered(key)))
+        let ask = ask_for("format=json", Target::Complete);
+        self.json_of_leader(service, &Key::Settings(service), ask).await
     }
 
     /// All wishes of operators; empty if none was put.
@@ -341,6 +331,29 @@ impl Client {
         }
         let reason = "no instance of it leads yet; ask again in a moment".to_owned();
         Err(Error::Unavailable { service, reason })
+    }
+
+    /// The JSON answer to such a get.
+    ///
+    /// # Errors
+    /// As [`Client::get_of_leader`]; that of the error reply if there is one, [`Error::Bus`] if the answer is no JSON.
+    pub(crate) async fn json_of_leader(
+        &self,
+        service: ServiceName,
+        key: &Key,
+        ask: Ask<'_>,
+    ) -> Result<Value, Error> {
+        let mut refused = None;
+        for answer in self.get_of_leader(service, key, ask).await? {
+            match answer {
+                Answer::Packet(Packet { payload: Ok(payload), .. }) => {
+                    return serde_json::from_slice(&payload).map_err(Error::bus);
+                }
+                Answer::Packet(_) => {}
+                Answer::Error(error) => refused = Some(Error::reply(service, &error)),
+            }
+        }
+        Err(refused.unwrap_or_else(|| self.unanswered(key)))
     }
 
     async fn newest<T>(&self, key: Key, read: fn(Message) -> Option<T>) -> Result<T, Error> {

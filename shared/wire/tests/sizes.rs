@@ -4,6 +4,7 @@ use crate::samples;
 use std::sync::Arc;
 
 use muster_model::content::Checked;
+use muster_model::embedding::Embedding;
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::id::{Modality, RobotId, TeamId};
 use muster_model::limits::{MAX_GRAPH_EDGES, MAX_ID_LENGTH, MAX_ROBOTS};
@@ -43,13 +44,33 @@ fn the_largest_graph_fits_a_message() {
     })));
 }
 
-#[test]
-fn an_embedding_of_thirty_thousand_robots_fits_a_message() {
+fn embedding() -> Embedding {
     let sample = samples::all().into_iter().find_map(|(_, message)| match message {
         Message::Embedding(embedding) => Some(embedding),
         _ => None,
     });
-    let mut embedding = (*sample.unwrap()).clone();
+    (*sample.unwrap()).clone()
+}
+
+/// Readers allocate by the dimension.
+#[test]
+fn an_embedding_without_robots_has_no_dimension_of_any_size() {
+    let mut none = embedding();
+    none.robots.clear();
+    none.values.clear();
+    none.without_embedding.clear();
+    none.provisional.clear();
+    none.centrality.clear();
+    for (dimension, is_right) in [(MAX_DIMENSION, true), (MAX_DIMENSION + 1, false)] {
+        none.dimension = dimension;
+        let checked = Checked::new(none.clone());
+        assert_eq!(checked.is_ok(), is_right, "{dimension}: {checked:?}");
+    }
+}
+
+#[test]
+fn an_embedding_of_thirty_thousand_robots_fits_a_message() {
+    let mut embedding = embedding();
     embedding.robots = robots(30_000);
     embedding.without_embedding = vec![false; embedding.robots.len()];
     embedding.dimension = MAX_DIMENSION;

@@ -64,7 +64,7 @@ fn one_way(protocol: &str, router: SocketAddr) -> SocketAddr {
             while let Ok((length, from)) = from_robots.recv_from(&mut bytes) {
                 let to_router =
                     sockets.entry(from).or_insert_with(|| UdpSocket::bind("127.0.0.1:0").unwrap());
-                // As long as nobody listens it is refused.
+                // As long as no router listens it is refused.
                 let _ = to_router.send_to(&bytes[..length], router);
             }
         });
@@ -98,7 +98,7 @@ fn robot_that_hears_nothing(
                 return number;
             }
             let session = zenoh::open(config_at(&identity, protocol, address)).wait();
-            assert!(session.is_err(), "it has heard an answer");
+            assert!(session.is_err(), "it has received an answer");
         }
         0
     })

@@ -142,11 +142,11 @@ impl HistoryFile {
         match self.try_open(fleet) {
             Ok(opened) => Ok((opened, None)),
             Err(Unopened::Damaged(why)) => {
-                let told = self.put_aside(&why)?;
+                let notice = self.put_aside(&why)?;
                 match self.open_again() {
-                    Ok(opened) => Ok((opened, Some(told))),
+                    Ok(opened) => Ok((opened, Some(notice))),
                     // The next attempt finds no damage.
-                    Err(problem) => Err(format!("{problem}; {told}")),
+                    Err(problem) => Err(format!("{problem}; {notice}")),
                 }
             }
             Err(Unopened::Foreign(problem)) => Err(problem),

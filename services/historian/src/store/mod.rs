@@ -137,23 +137,23 @@ impl FileRecords {
             return WriteError::Failed("the history in memory is damaged".to_owned());
         };
         let aside = match broken {
-            Broken::Aside(told) => Ok(told),
+            Broken::Aside(notice) => Ok(notice),
             Broken::There(why) => {
                 file.put_aside(&why).map_err(|problem| (Broken::There(why), problem))
             }
         };
-        let begun = aside.and_then(|told| match file.open_again() {
-            Ok(opened) => Ok((opened, told)),
-            Err(problem) => Err((Broken::Aside(told), problem)),
+        let begun = aside.and_then(|notice| match file.open_again() {
+            Ok(opened) => Ok((opened, notice)),
+            Err(problem) => Err((Broken::Aside(notice), problem)),
         });
         match begun {
-            Ok(((connection, coverage), told)) => {
+            Ok(((connection, coverage), notice)) => {
                 self.connection = connection;
                 // Numbers are never given twice, in a new file neither.
                 let before = std::mem::replace(&mut self.position, Position::after(&coverage));
                 self.position.skip_behind(&before);
                 self.coverage = coverage;
-                WriteError::Damaged(told)
+                WriteError::Damaged(notice)
             }
             Err((broken, problem)) => {
                 self.broken = Some(broken);

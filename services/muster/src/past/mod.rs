@@ -241,3 +241,37 @@ fn append(rows: &mut Rows, more: Rows) {
         _ => {}
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use muster_model::history::StayRow;
+    use muster_model::id::{FleetId, InstanceId};
+
+    use super::*;
+
+    #[test]
+    fn further_rows_begin_behind_the_last_one_that_is_kept() {
+        let stay = |sequence| StayRow {
+            sequence,
+            robot: RobotId::new("r1").unwrap(),
+            joined: None,
+            recorded: Tick(0),
+            left: None,
+            last_seen: None,
+            reason: None,
+        };
+        let answer = || HistoryAnswer {
+            fleet: FleetId::new("alpha").unwrap(),
+            instance: InstanceId::new("h").unwrap(),
+            recorded_from: None,
+            recorded_through: None,
+            before: Some(3),
+            rows: Rows::Robots([9, 6, 3].map(stay).to_vec()),
+        };
+        for (wanted, before, left) in [(2, 6, 2), (3, 3, 3), (4, 3, 3)] {
+            let mut kept = answer();
+            keep_first(&mut kept, wanted);
+            assert_eq!((kept.before, count(&kept.rows)), (Some(before), left));
+        }
+    }
+}
