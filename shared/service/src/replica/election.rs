@@ -8,6 +8,7 @@
 //! works, whatever its term. No instance replaces a leader that lives, unless
 //! its term is outdated: one that another instance began before, unknown to the leader.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use muster_model::header::Revision;
@@ -16,7 +17,7 @@ use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::time::Tick;
 
 use crate::replica::lease::{Lease, RENEWAL_INTERVAL};
-use crate::replica::peers::Peers;
+use crate::replica::peers::{MAX_PEERS, Peers};
 use crate::wiring::Replication;
 
 /// How long a leader may be silent before another instance takes over: the lease of the bus, so that
@@ -58,8 +59,8 @@ struct Candidate {
     asking: bool,
     /// Whether the standbys before it had time to take over.
     waited: bool,
-    /// Whether another instance has appeared since the inquiry began: it may not have been asked.
-    appeared: bool,
+    /// Other instances that have appeared since the inquiry began, and are still there: they may not have been asked.
+    appeared: BTreeSet<InstanceId>,
     /// Whether it has asked once more because of that.
     asked_again: bool,
     /// How many renewals in a row were of a term that this instance began itself, or of a lower one.
@@ -255,16 +256,16 @@ impl Election {
     pub(crate) fn inquire(&mut self) -> bool {
         let Some(candidate) = self.candidate_mut() else { return false };
         candidate.asking = true;
-        candidate.appeared = false;
+        candidate.appeared.clear();
         candidate.waited
     }
 
-    /// Whether an instance that is about to lead asks once more: another one has appeared meanwhile. A leader that was cut off
+    /// Whether an instance that is about to lead asks once more: another one has appeared meanwhile, and is still there. A leader that was cut off
     /// for a moment has settings that no other instance may have received. Once for each link is enough, so that tokens that come
     /// and go keep no instance from leading.
     pub(crate) fn asks_again(&mut self) -> bool {
         let Some(candidate) = self.candidate_mut() else { return false };
-        candidate.appeared && !std::mem::replace(&mut candidate.asked_again, true)
+        !candidate.appeared.is_empty() && !std::mem::replace(&mut candidate.asked_again, true)
     }
 
     /// Whether the answers of an inquiry are still wanted; they are taken once.
@@ -380,16 +381,19 @@ impl Election {
             return;
         }
         if alive {
-            if let Some(candidate) = self.candidate_mut() {
-                candidate.appeared = true;
+            if let Some(candidate) = self.candidate_mut()
+                && candidate.appeared.len() < MAX_PEERS
+            {
+                candidate.appeared.insert(instance.clone());
             }
             return self.peers.appeared(instance);
         }
         self.peers.lost(&instance);
         let take_over_at = now.after(TOKEN_GRACE + self.stagger());
-        if let Some(candidate) = self.candidate_mut()
-            && candidate.leader.as_ref().is_some_and(|leader| leader.instance == instance)
-        {
+        let Some(candidate) = self.candidate_mut() else { return };
+        // A process that was killed has a token until its lease on the bus ends, and answers nothing.
+        candidate.appeared.remove(&instance);
+        if candidate.leader.as_ref().is_some_and(|leader| leader.instance == instance) {
             candidate.take_over_at = candidate.take_over_at.min(take_over_at);
         }
     }
@@ -524,7 +528,7 @@ impl Candidate {
             take_over_at: now,
             asking: false,
             waited: false,
-            appeared: false,
+            appeared: BTreeSet::new(),
             asked_again: false,
             outdated_renewals: 0,
             replaces: None,

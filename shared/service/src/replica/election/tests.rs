@@ -305,3 +305,21 @@ fn an_instance_asks_once_more_over_each_link_where_another_one_has_appeared() {
     assert!(begins(&mut election, 5.1));
     assert!(!begins(&mut election, 6.0));
 }
+
+#[test]
+fn an_instance_that_appeared_and_is_gone_again_is_not_asked() {
+    let mut election = Election::new(name("b"), START, Replication::OneLeads);
+    election.inquire();
+    // Its former process was killed a moment ago, and its lease on the bus ends now.
+    election.token(at(0.1), name("a"), true);
+    election.token(at(1.5), name("a"), false);
+    assert!(election.inquiry_answered());
+    assert_eq!(election.decide(at(2.0)), Decision::Lead);
+    assert!(!election.asks_again());
+    election.inquire();
+    election.token(at(2.1), name("a"), true);
+    election.token(at(2.2), name("c"), true);
+    election.token(at(2.3), name("a"), false);
+    assert!(election.inquiry_answered());
+    assert!(election.asks_again(), "c is there");
+}
