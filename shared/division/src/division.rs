@@ -153,10 +153,22 @@ fn divide_until_it_stays(job: &Job) -> Result<Passed, DivisionError> {
 /// One division from the last one, without rules.
 fn divide_freely(job: &Job) -> Result<Teams, DivisionError> {
     let x = vectors(&job.embedding)?;
-    let found = cluster(&x, job)?;
-    assemble(job, &x, &found, |_, members, unassigned| {
-        Ok(identity::name(members, unassigned, job.previous.as_deref(), &job.memory)?)
-    })
+    let previous = job.previous.as_deref().filter(|_| job.same_number);
+    let last = previous.map(|previous| LastTeams::of(previous, job));
+    let found = cluster(&x, job, last.as_ref())?;
+    let named = |found| {
+        assemble(job, &x, found, |_, members, unassigned| {
+            Ok(identity::name(members, unassigned, job.previous.as_deref(), &job.memory)?)
+        })
+    };
+    let teams = named(&found)?;
+    if let (Staying::KeepingTeams, Some(last)) = (job.staying, &last)
+        && !(last.are_kept_by(&found, job) && last.are_named_in(&teams, job))
+        && let Some(found) = stay(&x, &last.labels, job)?
+    {
+        return named(&found);
+    }
+    Ok(teams)
 }
 
 /// The teams of a division, with the names that its clusters get. The clusters are ordered by their first rows.
@@ -318,43 +330,71 @@ pub fn changes(new: &Teams, before: Option<&Teams>) -> Vec<TeamChange> {
 }
 
 /// k-means, from the teams before where those were as many.
-fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, DivisionError> {
+fn cluster(
+    x: &DenseMatrix,
+    job: &Job,
+    last: Option<&LastTeams<'_>>,
+) -> Result<Division, DivisionError> {
     let Job { embedding, settings, .. } = job;
-    let warm = job.previous.as_deref().filter(|_| job.same_number);
-    let warm = warm.map(|previous| last_labels(previous, job));
-    if let (Staying::All, Some(labels)) = (job.staying, &warm)
+    let warm = last.map(|last| &*last.labels);
+    if let (Staying::All, Some(labels)) = (job.staying, warm)
         && let Some(found) = stay(x, labels, job)?
     {
         return Ok(found);
     }
     let params = DivisionParams::new(settings, job.teams as usize).check()?;
     let without = &embedding.without_embedding;
-    let found = divide_robots(x, without, &params, warm.as_deref(), &mut |_| {})?;
-    if let (Staying::KeepingTeams, Some(labels)) = (job.staying, &warm)
-        && !keeps_teams(labels, &found, job)
-        && let Some(found) = stay(x, labels, job)?
-    {
-        return Ok(found);
-    }
-    Ok(found)
+    Ok(divide_robots(x, without, &params, warm, &mut |_| {})?)
 }
 
-/// Whether each team has half of its robots in a cluster of its own, without those that have new orders.
-fn keeps_teams(last: &[Option<usize>], found: &Division, job: &Job) -> bool {
-    let mut robots: BTreeMap<usize, BTreeMap<usize, usize>> = BTreeMap::new();
-    for ((last, now), robot) in last.iter().zip(&found.labels).zip(&job.embedding.robots) {
-        if let (Some(last), Some(now)) = (last, now)
-            && !job.renewed.contains(robot)
-        {
-            *robots.entry(*last).or_default().entry(*now).or_default() += 1;
-        }
+/// The teams of the robots before.
+struct LastTeams<'a> {
+    ids: Vec<&'a TeamId>,
+    /// The place among `ids` of each robot's team; none for robots without a team or without a vector.
+    labels: Vec<Option<usize>>,
+}
+
+impl<'a> LastTeams<'a> {
+    fn of(previous: &'a Teams, job: &'a Job) -> Self {
+        let embedding = &*job.embedding;
+        let last = last_teams(previous, &job.memory, embedding);
+        let ids: BTreeSet<&TeamId> = last.iter().flatten().copied().collect();
+        let number_of: BTreeMap<&TeamId, usize> = ids.iter().copied().zip(0..).collect();
+        let mut labels = last.into_iter().map(|id| number_of.get(id?).copied());
+        let label = |without: &bool| if *without { None } else { labels.next().flatten() };
+        let labels = embedding.without_embedding.iter().map(label).collect();
+        Self { ids: ids.into_iter().collect(), labels }
     }
-    let mut taken = BTreeSet::new();
-    robots.values().all(|clusters| {
-        let all: usize = clusters.values().sum();
-        let mut halves = clusters.iter().filter(|(_, count)| **count * 2 >= all);
-        halves.any(|(cluster, _)| taken.insert(*cluster))
-    })
+
+    /// The place of each robot's team, and the row of the robot, without those that have new orders.
+    fn without_orders(&self, job: &Job) -> impl Iterator<Item = (usize, usize)> {
+        let rows = self.labels.iter().zip(&job.embedding.robots).enumerate();
+        rows.filter(|(_, (_, robot))| !job.renewed.contains(*robot))
+            .filter_map(|(row, (label, _))| Some(((*label)?, row)))
+    }
+
+    /// Whether each of them has half of its robots in a cluster of its own.
+    fn are_kept_by(&self, found: &Division, job: &Job) -> bool {
+        let mut robots: BTreeMap<usize, BTreeMap<usize, usize>> = BTreeMap::new();
+        for (last, row) in self.without_orders(job) {
+            if let Some(now) = found.labels[row] {
+                *robots.entry(last).or_default().entry(now).or_default() += 1;
+            }
+        }
+        let mut taken = BTreeSet::new();
+        robots.values().all(|clusters| {
+            let all: usize = clusters.values().sum();
+            let mut halves = clusters.iter().filter(|(_, count)| **count * 2 >= all);
+            halves.any(|(cluster, _)| taken.insert(*cluster))
+        })
+    }
+
+    /// Whether each of them has its id. Where half of a team parts from the others, the other half may be called a team that is
+    /// remembered, and these robots the team of a third one, which then has none.
+    fn are_named_in(&self, teams: &Teams, job: &Job) -> bool {
+        let named: BTreeSet<&TeamId> = teams.teams.iter().map(|team| &team.id).collect();
+        self.without_orders(job).all(|(last, _)| named.contains(self.ids[last]))
+    }
 }
 
 /// Every robot in its last team, but for those that have none or have new orders: these are in the nearest one.
@@ -389,17 +429,6 @@ fn nearest(row: &[f64], centroids: &DenseMatrix) -> Option<usize> {
         |centre: &[f64]| row.iter().zip(centre).map(|(x, mean)| (x - mean).powi(2)).sum::<f64>();
     let all = centroids.iter_rows().map(distance).enumerate();
     all.min_by(|left, right| left.1.total_cmp(&right.1)).map(|(number, _)| number)
-}
-
-/// The team of each robot before, as a number.
-fn last_labels(previous: &Teams, job: &Job) -> Vec<Option<usize>> {
-    let embedding = &*job.embedding;
-    let last = last_teams(previous, &job.memory, embedding);
-    let ids: BTreeSet<&TeamId> = last.iter().flatten().copied().collect();
-    let number_of: BTreeMap<&TeamId, usize> = ids.into_iter().zip(0..).collect();
-    let mut labels = last.into_iter().map(|id| number_of.get(id?).copied());
-    let label = |without: &bool| if *without { None } else { labels.next().flatten() };
-    embedding.without_embedding.iter().map(label).collect()
 }
 
 /// The clusters, ordered by their smallest member, so that nothing rests on how they were numbered.

@@ -85,6 +85,42 @@ fn a_team_that_is_cut_off_moves_nobody_else_and_comes_back_as_what_it_was() {
     }
 }
 
+/// Half of a team stands apart and could be the team that it was before that; the other half is near a third one.
+#[test]
+fn half_of_a_team_does_not_become_a_remembered_one_while_another_is_absent() {
+    let mut epoch = 0;
+    let mut standing = |groups: &[&str]| {
+        epoch += 1;
+        let place = |at: usize| f64::from(u32::try_from(at).unwrap());
+        let rows = groups.iter().enumerate().flat_map(|(group, names)| {
+            let names = names.split_whitespace().enumerate();
+            names.map(move |(i, name)| {
+                let row = vec![9.0 * place(group) + 0.1 * place(i), 5.0];
+                (robot(name), row, false)
+            })
+        });
+        let mut rows: Vec<_> = rows.collect();
+        rows.sort_by(|left, right| left.0.cmp(&right.0));
+        from_rows(1, epoch, rows)
+    };
+    let first = standing(&["a b c", "o p q", "r s v x"]);
+    let (mut bench, _) = divided(settings(TeamCount::Fixed(3)), &first);
+    let mut receive = |groups: &[&str]| {
+        for _ in 0..20 {
+            bench.receive_embedding(&standing(groups));
+            bench.wait(0.1);
+        }
+        short(&held(&mut bench))
+    };
+    assert_eq!(receive(&["a b", "c", "o p q r s v x"]), "t1: a b | t3: o p q r s v x | t4: c");
+    assert_eq!(receive(&["a b c", "o p q r s v", "x"]), "t1: a b c | t3: o p q r s v | t5: x");
+    assert_eq!(receive(&["o p q r s v", "x"]), "t3: o p q r s v | t5: x", "t1 is absent");
+    for _ in 0..5 {
+        assert_eq!(receive(&["o p q", "r s v x"]), "t3: o p q r s v | t5: x");
+    }
+    assert_eq!(receive(&["a b c", "o p q r s v", "x"]), "t1: a b c | t3: o p q r s v | t5: x");
+}
+
 /// A need that no team fills must not keep a team from its id.
 #[test]
 fn a_team_that_comes_back_keeps_its_id_where_no_robot_has_what_is_needed() {

@@ -11,13 +11,16 @@ use muster_model::roster::Presence;
 use muster_model::teams::Teams;
 use muster_wire::Message;
 
-use super::super::clock::Micros;
+use super::super::clock::{Micros, SECOND};
 use super::super::robots::TeamReport;
 use super::Publisher;
 use super::{Divided, Oracle, Published, Verified, breach, silhouettes};
 
 /// What is promised of a fleet in which nothing changes.
 const UNCHANGED: &str = "unchanged input leaves the teams unchanged";
+
+/// How long a roster may be on its way into a division: over slow links, while a slow job runs.
+const ROSTER_TIME: Micros = 4 * SECOND;
 
 /// What is true of one robot.
 #[derive(Debug, Clone, PartialEq)]
@@ -269,8 +272,8 @@ impl Oracle {
     /// The same leader divides the same vectors under the same settings as it did just before: what it held back for a
     /// while may follow, and nothing else: another number of teams, and the division of robots that stayed in their last team
     /// because a team had returned. So there are other teams once at most, and between the same teams each robot moves once at
-    /// most. Robots without a team keep to that.
-    pub(super) fn check_same_again(&mut self, before: Divided) -> Verified {
+    /// most; and once more each time that an absent team is forgotten, which makes room. Robots without a team keep to that.
+    pub(super) fn check_same_again(&mut self, mut before: Divided) -> Verified {
         let Some(now) = &self.divided else { return Ok(()) };
         let same_vectors = || {
             let (old, new) = (before.teams.embedding, now.teams.embedding);
@@ -284,8 +287,17 @@ impl Oracle {
         // Who can fill needs depends on the roster as well.
         let able = |teams: &Teams| (teams.stale.clone(), teams.needs.clone());
         let has_needs = !before.teams.needs.is_empty() || !now.teams.needs.is_empty();
-        if has_needs && (able(&before.teams) != able(&now.teams) || before.silent != now.silent) {
+        let skills_from = before.published.saturating_sub(ROSTER_TIME);
+        let has_new_skills = self.skills_changed.is_some_and(|at| at >= skills_from);
+        let may_fill_others = has_new_skills
+            || able(&before.teams) != able(&now.teams)
+            || before.silent != now.silent;
+        if has_needs && may_fill_others {
             return Ok(());
+        }
+        if has_forgotten_team(&before.teams, &now.teams) {
+            before.moved.clear();
+            before.renamed = false;
         }
         let moved = moved(&before.teams, &now.teams);
         let ids =
@@ -359,6 +371,14 @@ impl Oracle {
         }
         breach(UNCHANGED, format!("agreed on {:?}, now {:?}", short(agreed), short(last)))
     }
+}
+
+/// Whether a team is remembered no longer that was absent before.
+fn has_forgotten_team(before: &Teams, now: &Teams) -> bool {
+    let absent = |teams: &Teams| -> BTreeSet<TeamId> {
+        teams.remembered.last.iter().map(|(_, team)| team.clone()).collect()
+    };
+    !absent(before).is_subset(&absent(now))
 }
 
 /// The robots that are in another team than before.

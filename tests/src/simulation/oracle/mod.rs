@@ -32,7 +32,7 @@ use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
-use muster_model::id::{CommandId, OperatorId, RobotId, ServiceName, TeamId};
+use muster_model::id::{CommandId, OperatorId, RobotId, ServiceName, SkillId, TeamId};
 use muster_model::roster::Roster;
 use muster_model::teams::{Member, Teams};
 use muster_wire::Message;
@@ -91,6 +91,8 @@ struct Divided {
     renamed: bool,
     /// The teams of the division before of which all robots were stale: no robot fills their needs.
     silent: BTreeSet<TeamId>,
+    /// When it was published.
+    published: Micros,
 }
 
 impl Divided {
@@ -189,6 +191,8 @@ pub(crate) struct Oracle {
     had_forged_terms: bool,
     /// When a team last ended.
     team_ended: Option<Micros>,
+    /// When a roster last said otherwise than the one before which robot has which skills.
+    skills_changed: Option<Micros>,
 }
 
 impl Oracle {
@@ -340,6 +344,13 @@ impl Oracle {
         match message {
             Message::Roster(roster) => {
                 division::check_roster(roster)?;
+                let skills = |roster: &Checked<Roster>| -> BTreeSet<(RobotId, Vec<SkillId>)> {
+                    let able = roster.robots.iter().filter(|entry| !entry.skills.is_empty());
+                    able.map(|entry| (entry.robot.clone(), entry.skills.clone())).collect()
+                };
+                if self.rosters.last().is_none_or(|last| skills(last) != skills(roster)) {
+                    self.skills_changed = Some(now);
+                }
                 self.rosters.add(roster.header.revision, roster);
             }
             Message::Embedding(embedding) => {
@@ -359,8 +370,16 @@ impl Oracle {
                     self.team_ended = Some(now);
                 }
                 let silent = before.map(|before| silent(before)).unwrap_or_default();
-                let divided =
-                    Divided { publisher, settings, teams: teams_now, moved, renamed, silent };
+                let published = now;
+                let divided = Divided {
+                    publisher,
+                    settings,
+                    teams: teams_now,
+                    moved,
+                    renamed,
+                    silent,
+                    published,
+                };
                 if let Some(before) = self.divided.replace(divided) {
                     self.check_same_again(before)?;
                 }
