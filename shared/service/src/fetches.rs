@@ -110,12 +110,14 @@ pub(crate) struct Fetches<F> {
     asked: BTreeMap<AskId, Question>,
     /// Questions that are asked again, and when.
     waiting: Vec<(Tick, Question)>,
+    /// What was answered to an inquiry that has ended, for the next one.
+    carried: Vec<Message>,
 }
 
 impl<F> Default for Fetches<F> {
     fn default() -> Self {
         let (fetches, asked) = (BTreeMap::new(), BTreeMap::new());
-        Self { next: 0, fetches, asked, waiting: Vec::new() }
+        Self { next: 0, fetches, asked, waiting: Vec::new(), carried: Vec::new() }
     }
 }
 
@@ -146,10 +148,15 @@ impl<F: Copy> Fetches<F> {
         None
     }
 
-    /// Ends the inquiries under way, and returns what was answered to them: a standby may take over before it has all answers, and
+    /// The next inquiry has these answers too.
+    pub(crate) fn carry(&mut self, answers: Vec<Message>) {
+        self.carried = answers;
+    }
+
+    /// Ends the inquiries under way, and returns what was answered to them, or to the one before: a standby may take over before it has all answers, and
     /// those who gave them may be gone. Who led then does not count any more.
     fn end_inquiries(&mut self) -> Vec<Message> {
-        let mut answers = Vec::new();
+        let mut answers = std::mem::take(&mut self.carried);
         self.fetches.retain(|_, fetch| {
             let is_inquiry = fetch.purpose.is_inquiry();
             if is_inquiry {
@@ -218,6 +225,7 @@ impl<F: Copy> Fetches<F> {
         self.fetches.clear();
         self.asked.clear();
         self.waiting.clear();
+        self.carried.clear();
     }
 }
 

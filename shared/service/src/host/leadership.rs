@@ -66,6 +66,7 @@ impl<C: Core> Host<C> {
                 self.report_connectivity(Connectivity::Paused);
                 self.report_connectivity(Connectivity::Online);
             }
+            ReplicaState::Starting if is_linked && election.inquires_anew() => self.inquire(),
             ReplicaState::Starting | ReplicaState::Standby | ReplicaState::Leading => {}
         }
     }
@@ -227,9 +228,12 @@ impl<C: Core> Host<C> {
         if decision == Decision::Wait {
             return;
         }
-        if decision == Decision::Lead && self.facilities.replica.election.asks_again() {
-            return self.inquire();
-        }
+        let is_by_instance = |answer: &Message| match answer {
+            Message::Settings(announced) => announced.service == C::SERVICE,
+            Message::Outcome(outcome) => outcome.service == C::SERVICE,
+            _ => false,
+        };
+        let has_answered = answers.iter().any(is_by_instance);
         let mut wanted = Vec::new();
         for answer in answers {
             match answer {
@@ -237,7 +241,7 @@ impl<C: Core> Host<C> {
                 // A suspect answers as well, with what it could not announce.
                 Message::Settings(announced) if announced.service == C::SERVICE => {
                     let now = self.facilities.now;
-                    self.facilities.replica.note_stored_by_other(now, &announced);
+                    self.facilities.replica.note_term_of_other(now, &announced);
                     self.adopt(&announced);
                 }
                 Message::Outcome(outcome) if outcome.service == C::SERVICE => {
@@ -245,6 +249,10 @@ impl<C: Core> Host<C> {
                 }
                 answer => wanted.push(answer),
             }
+        }
+        if decision == Decision::Lead && self.facilities.replica.election.asks_again(has_answered) {
+            self.facilities.fetches.carry(wanted);
+            return self.inquire();
         }
         match decision {
             Decision::Lead => self.lead(wanted, seen, occasion),

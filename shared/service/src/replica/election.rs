@@ -61,7 +61,11 @@ struct Candidate {
     waited: bool,
     /// Other instances that have appeared since the inquiry began, and are still there: they may not have been asked.
     appeared: BTreeSet<InstanceId>,
-    /// Whether it has asked once more because of that.
+    /// Whether more have appeared than are noted.
+    is_crowded: bool,
+    /// Whether the token of another instance was lost since the inquiry began.
+    has_lost: bool,
+    /// Whether it has asked once more because of one of these.
     asked_again: bool,
     /// How many renewals in a row were of a term that this instance began itself, or of a lower one.
     outdated_renewals: u32,
@@ -257,15 +261,24 @@ impl Election {
         let Some(candidate) = self.candidate_mut() else { return false };
         candidate.asking = true;
         candidate.appeared.clear();
+        (candidate.is_crowded, candidate.has_lost) = (false, false);
         candidate.waited
     }
 
-    /// Whether an instance that is about to lead asks once more: another one has appeared meanwhile, and is still there. A leader that was cut off
-    /// for a moment has settings that no other instance may have received. Once for each link is enough, so that tokens that come
-    /// and go keep no instance from leading.
-    pub(crate) fn asks_again(&mut self) -> bool {
+    /// Whether an instance that is about to lead asks once more: another one has appeared meanwhile, and is still there; or one has
+    /// answered, and is gone. A leader that was cut off for a moment has settings that no other instance may have received. One that
+    /// was killed answers nothing. Once for each link is enough, so that tokens that come and go keep no instance from leading.
+    pub(crate) fn asks_again(&mut self, has_answered: bool) -> bool {
         let Some(candidate) = self.candidate_mut() else { return false };
-        !candidate.appeared.is_empty() && !std::mem::replace(&mut candidate.asked_again, true)
+        let has_appeared = !candidate.appeared.is_empty() || candidate.is_crowded;
+        (has_appeared || has_answered && candidate.has_lost)
+            && !std::mem::replace(&mut candidate.asked_again, true)
+    }
+
+    /// Whether an instance asks the bus from the beginning after its link was lost or it was paused: what it has asked before says
+    /// nothing of what others have published since.
+    pub(crate) fn inquires_anew(&self) -> bool {
+        matches!(&self.state, State::Starting(candidate) if !candidate.waited)
     }
 
     /// Whether the answers of an inquiry are still wanted; they are taken once.
@@ -344,7 +357,7 @@ impl Election {
                 self.become_standby();
                 Reconnection::Resume
             }
-            State::Starting(candidate) if !candidate.asking => Reconnection::Inquire,
+            State::Starting(candidate) if !candidate.waited => Reconnection::Inquire,
             State::Leading(lease) => {
                 lease.check_soon(now);
                 Reconnection::Resume
@@ -381,10 +394,12 @@ impl Election {
             return;
         }
         if alive {
-            if let Some(candidate) = self.candidate_mut()
-                && candidate.appeared.len() < MAX_PEERS
-            {
-                candidate.appeared.insert(instance.clone());
+            if let Some(candidate) = self.candidate_mut() {
+                let has_room = candidate.appeared.len() < MAX_PEERS;
+                candidate.is_crowded |= !has_room;
+                if has_room {
+                    candidate.appeared.insert(instance.clone());
+                }
             }
             return self.peers.appeared(instance);
         }
@@ -393,6 +408,7 @@ impl Election {
         let Some(candidate) = self.candidate_mut() else { return };
         // A process that was killed has a token until its lease on the bus ends, and answers nothing.
         candidate.appeared.remove(&instance);
+        candidate.has_lost = true;
         if candidate.leader.as_ref().is_some_and(|leader| leader.instance == instance) {
             candidate.take_over_at = candidate.take_over_at.min(take_over_at);
         }
@@ -529,6 +545,8 @@ impl Candidate {
             asking: false,
             waited: false,
             appeared: BTreeSet::new(),
+            is_crowded: false,
+            has_lost: false,
             asked_again: false,
             outdated_renewals: 0,
             replaces: None,

@@ -43,8 +43,8 @@ pub(crate) struct Replica<S> {
     /// The newest output of the service that any reader had when this instance asked. Those who ask again may be answered
     /// by fewer: a reader that has restarted since remembers nothing.
     seen_by_readers: Option<Revision>,
-    /// The highest term that an instance which does not lead has said to have on its disk.
-    stored_by_others: u64,
+    /// The highest term that another instance has said to have, or to have on its disk.
+    terms_of_others: u64,
     /// Why this instance has begun without the state that it kept before; taken once it is reported.
     pub(crate) state_loss: Option<String>,
     revision: Revision,
@@ -87,7 +87,7 @@ impl<S: Settings> Replica<S> {
             started: start.now,
             stored_term,
             seen_by_readers: None,
-            stored_by_others: 0,
+            terms_of_others: 0,
             state_loss: damage,
             revision,
             event_epoch: 0,
@@ -119,12 +119,13 @@ impl<S: Settings> Replica<S> {
         self.seen_by_readers
     }
 
-    /// An instance without a term has answered with its settings, and says which term it has stored: no other one may have received
-    /// it of a leader that was lost at once.
-    pub(crate) fn note_stored_by_other(&mut self, now: Tick, announced: &AnnouncedSettings) {
+    /// An instance has answered with its settings, and says its term, or which one it has stored if it has none: no other one may
+    /// have received it of a leader that was lost at once.
+    pub(crate) fn note_term_of_other(&mut self, now: Tick, announced: &AnnouncedSettings) {
         let Revision { term, epoch: stored } = announced.header.revision;
-        if term == 0 && self.believes(now, stored) {
-            self.stored_by_others = self.stored_by_others.max(stored);
+        let term = if term == 0 { stored } else { term };
+        if self.believes(now, term) {
+            self.terms_of_others = self.terms_of_others.max(term);
         }
     }
 
@@ -139,7 +140,7 @@ impl<S: Settings> Replica<S> {
     /// one with a later state then notices that it knows less, and takes over.
     pub(crate) fn begin_term(&mut self, now: Tick, seen: Option<Revision>) {
         let believed = seen.map(|revision| revision.term).filter(|term| self.believes(now, *term));
-        let of_others = self.stored_by_others.max(self.election.highest_term());
+        let of_others = self.terms_of_others.max(self.election.highest_term());
         let known = believed.unwrap_or(0).max(self.stored_term).max(of_others);
         let term = known.saturating_add(1);
         let term = if self.stored_term == 0 { term.max(clock_term(now)) } else { term };

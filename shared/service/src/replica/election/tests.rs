@@ -296,7 +296,7 @@ fn an_instance_asks_once_more_over_each_link_where_another_one_has_appeared() {
         election.token(at(seconds), name("c"), true);
         assert!(election.inquiry_answered());
         assert_eq!(election.decide(at(seconds)), Decision::Lead);
-        election.asks_again()
+        election.asks_again(false)
     };
     assert!(begins(&mut election, 0.1));
     assert!(!begins(&mut election, 1.0));
@@ -315,11 +315,51 @@ fn an_instance_that_appeared_and_is_gone_again_is_not_asked() {
     election.token(at(1.5), name("a"), false);
     assert!(election.inquiry_answered());
     assert_eq!(election.decide(at(2.0)), Decision::Lead);
-    assert!(!election.asks_again());
+    assert!(!election.asks_again(false));
     election.inquire();
     election.token(at(2.1), name("a"), true);
     election.token(at(2.2), name("c"), true);
     election.token(at(2.3), name("a"), false);
     assert!(election.inquiry_answered());
-    assert!(election.asks_again(), "c is there");
+    assert!(election.asks_again(false), "c is there");
+}
+
+#[test]
+fn an_instance_that_has_answered_and_is_gone_is_asked_again_over_the_same_link() {
+    let mut election = Election::new(name("b"), START, Replication::OneLeads);
+    election.token(at(0.0), name("a"), true);
+    election.inquire();
+    election.token(at(0.5), name("a"), false);
+    assert!(election.inquiry_answered());
+    assert_eq!(election.decide(at(2.0)), Decision::Lead);
+    assert!(election.asks_again(true), "its link may be cut for a moment");
+    election.inquire();
+    assert!(election.inquiry_answered());
+    assert!(!election.asks_again(true));
+}
+
+#[test]
+fn what_was_asked_over_a_link_that_was_lost_is_asked_again() {
+    let mut election = Election::new(name("b"), START, Replication::OneLeads);
+    election.inquire();
+    election.token(at(0.1), name("a"), true);
+    election.token(at(0.3), name("a"), false);
+    election.link_lost();
+    assert_eq!(election.link_restored(at(1.6)), Reconnection::Inquire);
+    // One that takes over is a standby again.
+    let mut election = standby_of("a");
+    assert_eq!(takes_over(&mut election, 1.0, 5.0).map(|_| ()), Some(()));
+    election.link_lost();
+    assert!(!election.inquires_anew());
+}
+
+#[test]
+fn more_instances_than_are_noted_are_asked_again() {
+    let mut election = Election::new(name("b"), START, Replication::OneLeads);
+    election.inquire();
+    let crowd: Vec<_> = (0..=MAX_PEERS).map(|number| name(&format!("c{number}"))).collect();
+    crowd.iter().for_each(|other| election.token(at(0.1), other.clone(), true));
+    crowd.iter().for_each(|other| election.token(at(0.2), other.clone(), false));
+    assert!(election.inquiry_answered());
+    assert!(election.asks_again(false));
 }
