@@ -528,7 +528,8 @@ impl Embedder {
         self.last_job = LastJob::Embedding;
         self.flight.started(basis.clone());
         let has_robots = !frame.robots.is_empty();
-        let shape = has_robots.then(|| self.shape.goes_on_from(context.now())).flatten();
+        let shape = has_robots.then(|| self.shape.goes_on_from(context.now(), &frame.robots));
+        let shape = shape.flatten();
         let previous = self.embedding.clone();
         let memory = self.memory.take().unwrap_or_default();
         let basis = Box::new(basis);

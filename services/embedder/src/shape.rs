@@ -6,6 +6,7 @@
 use std::time::Duration;
 
 use muster_model::embedding::Embedding;
+use muster_model::id::RobotId;
 use muster_model::time::Tick;
 use muster_wire::kept::KeptShape;
 
@@ -23,14 +24,37 @@ const ASK_INTERVAL: Duration = Duration::from_secs(10);
 /// links and ranks, within it. By what a part of them shows another number may be clearly better, and be kept from then on.
 const GATHERING_TIME: Duration = Duration::from_secs(2);
 
+/// How long robots are remembered that have left: as long as the clusterer remembers their team.
+const ABSENCE_TIME: Duration = Duration::from_secs(60);
+
+/// The fleet as it was before robots left.
+#[derive(Debug)]
+struct Whole {
+    /// Ordered by name.
+    robots: Vec<RobotId>,
+    shape: KeptShape,
+    /// Since when some are missing.
+    missing_since: Option<Tick>,
+}
+
+impl Whole {
+    fn misses_any(&self, robots: &[RobotId]) -> bool {
+        // Both are ordered, and mostly the same.
+        let mut there = robots.iter();
+        !self.robots.iter().all(|robot| there.any(|other| other == robot))
+    }
+}
+
 /// What is known, and what is on disk.
 #[derive(Debug, Default)]
 pub(crate) struct Shape {
     newest: Option<KeptShape>,
-    /// What was known as this instance began to lead, as long as it goes on from that.
+    /// What was known as this instance began to lead, or before robots left that are back, as long as it goes on from that.
     found: Option<KeptShape>,
     /// When it made its first embedding of robots since.
     gathering_since: Option<Tick>,
+    /// What a leader knows of the fleet with those that have left.
+    whole: Option<Whole>,
     written: Option<KeptShape>,
     /// When the next write may begin, if anything has changed.
     next_write: Tick,
@@ -52,16 +76,29 @@ impl Shape {
     /// An embedding was published, by this instance or its leader. One of no robots, or of those that came first, says nothing of the
     /// fleet.
     pub(crate) fn note(&mut self, now: Tick, embedding: &Embedding) {
-        if embedding.robots.is_empty() || self.found(now).is_some() {
+        let teams = embedding.quality.teams_shown.unwrap_or(0);
+        let shape = KeptShape { teams, rank: embedding.dimension / 2 };
+        self.note_shape(now, &embedding.robots, shape);
+    }
+
+    fn note_shape(&mut self, now: Tick, robots: &[RobotId], shape: KeptShape) {
+        if robots.is_empty() || self.found(now).is_some() {
             return;
         }
-        let teams = embedding.quality.teams_shown.unwrap_or(0);
-        self.newest = Some(KeptShape { teams, rank: embedding.dimension / 2 });
+        self.newest = Some(shape);
+        match &mut self.whole {
+            Some(whole) if whole.missing_since.is_some() => {}
+            Some(whole) if whole.robots == robots => whole.shape = shape,
+            whole => {
+                *whole = Some(Whole { robots: robots.to_vec(), shape, missing_since: None });
+            }
+        }
     }
 
     /// This instance begins to lead.
     pub(crate) fn lead(&mut self) {
         (self.found, self.gathering_since) = (self.newest, None);
+        self.whole = None;
     }
 
     /// This instance leads no more.
@@ -69,8 +106,21 @@ impl Shape {
         self.found = None;
     }
 
-    /// What an embedding of robots that begins now goes on from; none if from the last one.
-    pub(crate) fn goes_on_from(&mut self, now: Tick) -> Option<KeptShape> {
+    /// What an embedding of these robots that begins now goes on from; none if from the last one.
+    ///
+    /// Where robots have left and all are back, it is what was known before: the others without them may show another number, which
+    /// would be kept with them too, where it is hardly worse.
+    pub(crate) fn goes_on_from(&mut self, now: Tick, robots: &[RobotId]) -> Option<KeptShape> {
+        if let Some(whole) = &mut self.whole {
+            let is_over = |since: Tick| now.since(since) >= ABSENCE_TIME;
+            if whole.missing_since.is_some_and(is_over) {
+                self.whole = None;
+            } else if whole.misses_any(robots) {
+                whole.missing_since.get_or_insert(now);
+            } else if whole.missing_since.take().is_some() {
+                (self.found, self.gathering_since) = (Some(whole.shape), None);
+            }
+        }
         self.gathering_since.get_or_insert(now);
         self.found(now)
     }
@@ -125,13 +175,40 @@ mod tests {
         let found = KeptShape { teams: 5, rank: 4 };
         let mut shape = Shape::default();
         shape.restore(&found.encode().unwrap()).unwrap();
-        assert_eq!(shape.goes_on_from(at(0)), None, "it follows");
+        assert_eq!(shape.goes_on_from(at(0), &[]), None, "it follows");
         shape.lead();
         // However long it waits for the first robot.
         for ms in [60_000, 61_000, 61_999] {
-            assert_eq!(shape.goes_on_from(at(ms)), Some(found));
+            assert_eq!(shape.goes_on_from(at(ms), &[]), Some(found));
         }
-        assert_eq!(shape.goes_on_from(at(62_000)), None);
+        assert_eq!(shape.goes_on_from(at(62_000), &[]), None);
         assert_eq!(shape.newest, Some(found));
+    }
+
+    #[test]
+    fn robots_that_left_and_are_back_find_what_was_known_of_all() {
+        let at = |seconds: u64| Tick(1_000_000).after(Duration::from_secs(seconds));
+        let robots =
+            |names: &str| names.split(' ').map(|name| RobotId::new(name).unwrap()).collect();
+        for (away_s, is_remembered) in [(20, true), (59, true), (60, false)] {
+            let mut shape = Shape::default();
+            shape.lead();
+            let mut makes = |seconds: u64, names: &str, teams: u32| {
+                let robots: Vec<RobotId> = robots(names);
+                let found = shape.goes_on_from(at(seconds), &robots);
+                shape.note_shape(at(seconds), &robots, KeptShape { teams, rank: teams });
+                found
+            };
+            assert_eq!(makes(0, "a b c", 3), None);
+            assert_eq!(makes(1, "a b c d", 3), None, "who joins misses none");
+            assert_eq!(makes(2, "a d", 2), None);
+            assert_eq!(makes(3, "a b d e", 2), None, "c is missing still");
+            let back = 2 + away_s;
+            let whole = is_remembered.then_some(KeptShape { teams: 3, rank: 3 });
+            assert_eq!(makes(back - 1, "a d", 2), None);
+            assert_eq!(makes(back, "a b c d e", 3), whole);
+            assert_eq!(makes(back + 1, "a b c d e", 3), whole, "they repeat their links");
+            assert_eq!(makes(back + 2, "a b c d e", 3), None);
+        }
     }
 }
