@@ -357,7 +357,14 @@ struct LastTeams<'a> {
 impl<'a> LastTeams<'a> {
     fn of(previous: &'a Teams, job: &'a Job) -> Self {
         let embedding = &*job.embedding;
+        // A robot may remember a team that has ended and is not awaited: that is none of the teams to keep.
+        let none = BTreeSet::new();
+        let kept: BTreeSet<&TeamId> = {
+            let living = previous.teams.iter().map(|team| &team.id);
+            living.chain(job.memory.lost_teams(&none)).collect()
+        };
         let last = last_teams(previous, &job.memory, embedding);
+        let last: Vec<_> = last.into_iter().map(|id| id.filter(|id| kept.contains(*id))).collect();
         let ids: BTreeSet<&TeamId> = last.iter().flatten().copied().collect();
         let number_of: BTreeMap<&TeamId, usize> = ids.iter().copied().zip(0..).collect();
         let mut labels = last.into_iter().map(|id| number_of.get(id?).copied());

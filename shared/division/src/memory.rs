@@ -187,7 +187,9 @@ impl Memory {
         for (number, robots) in clusters.iter().enumerate() {
             place.extend(robots.iter().map(|robot| (*robot, Some(number))));
         }
-        let mut best: BTreeMap<usize, (u64, Tick, &TeamId)> = BTreeMap::new();
+        // Of two teams that share as many robots with a cluster, the one that these were in last; which ended last is not known
+        // after a restart.
+        let mut best: BTreeMap<usize, (u64, usize, Tick, &TeamId)> = BTreeMap::new();
         for (id, ended) in &self.ended {
             let places: Vec<Option<usize>> =
                 ended.members.iter().filter_map(|robot| place.get(robot).copied()).collect();
@@ -199,12 +201,14 @@ impl Memory {
                 count * 2 > places.len() && count * 2 > clusters[*cluster].len()
             });
             if let Some((cluster, count)) = most {
-                let candidate = (count as u64, ended.at, id);
+                let were_last = |robot: &&RobotId| self.last_team(robot) == Some(id);
+                let last = ended.members.iter().filter(were_last).count();
+                let candidate = (count as u64, last, ended.at, id);
                 let entry = best.entry(cluster).or_insert(candidate);
                 *entry = (*entry).max(candidate);
             }
         }
-        best.into_iter().map(|(cluster, (count, _, id))| (id, cluster, count)).collect()
+        best.into_iter().map(|(cluster, (count, _, _, id))| (id, cluster, count)).collect()
     }
 }
 

@@ -36,7 +36,7 @@ const LOSS_SHOWS_TIME: Duration = Duration::from_secs(6);
 /// within a second or two, one after the other.
 const SETTLE_TIME: Duration = Duration::from_secs(3);
 
-/// For how long after a team returned it has its seat and all stay in their teams: its robots come within a second or two, repeat
+/// For how long after a team returned, or robots of it that had left or were silent, it has its seat and all stay in their teams: its robots come within a second or two, repeat
 /// their ranks within two more, and the fleet is at rest a second later. What is trusted of the relations is that of before again then.
 const RETURN_TIME: Duration = Duration::from_secs(5);
 
@@ -190,7 +190,7 @@ impl Arrivals {
     /// Robots report again of a team that was silent, or that had left: others may follow, and until all have reported again,
     /// their vectors rest on what is new of some and old of others. At least as much time passes before the next such period.
     pub fn note_reporting_again(&mut self, now: Tick) {
-        if self.reporting.is_none_or(|since| now >= since.after(2 * SETTLE_TIME)) {
+        if self.reporting.is_none_or(|since| now >= since.after(2 * RETURN_TIME)) {
             self.reporting = Some(now);
         }
     }
@@ -199,7 +199,7 @@ impl Arrivals {
     #[must_use]
     pub fn is_unsettled(&self, now: Tick) -> bool {
         is_within(RETURN_TIME, self.returned, now)
-            || is_within(SETTLE_TIME, self.reporting, now)
+            || is_within(RETURN_TIME, self.reporting, now)
             || is_within(LOSS_TIME, self.lost, now)
     }
 
@@ -212,7 +212,7 @@ impl Arrivals {
     /// Until when moves that begin are taken for a consequence of losses, or of the return of robots; none if no robots have left.
     #[must_use]
     pub fn losses_show_until(&self) -> Option<Tick> {
-        let reporting = self.reporting.map(|since| since.after(2 * SETTLE_TIME));
+        let reporting = self.reporting.map(|since| since.after(2 * RETURN_TIME));
         self.ends_showing().max(reporting)
     }
 
@@ -224,7 +224,7 @@ impl Arrivals {
     /// When robots that may follow those that returned or left last are no longer waited for; empty if there are none.
     pub fn settled_at(&self) -> impl Iterator<Item = Tick> {
         let all =
-            [(self.returned, RETURN_TIME), (self.reporting, SETTLE_TIME), (self.lost, LOSS_TIME)];
+            [(self.returned, RETURN_TIME), (self.reporting, RETURN_TIME), (self.lost, LOSS_TIME)];
         all.into_iter().filter_map(|(began, time)| Some(began?.after(time)))
     }
 }
