@@ -14,6 +14,7 @@ use super::busy::Load;
 use super::chance::{Chance, Purpose};
 use super::clock::{BEGINNING, HostClock, MS, Micros, SECOND};
 use super::link::{State, Storm, Way};
+use super::node::Node;
 use super::plan::{Fault, Forgery, Injection, OutputKind, Place, Rubbish, Then};
 use super::proposer::{AtRest, Errand};
 use super::recording::Disk;
@@ -32,6 +33,19 @@ pub(super) const RECOVERY_TIME: Micros = 3 * SECOND;
 
 /// Who asks for many proposals at once.
 const PROPOSERS: [&str; 3] = ["alice", "bob", "carol"];
+
+/// The other services that answer with the output of one.
+const fn answers_for(service: ServiceName) -> &'static [ServiceName] {
+    match service {
+        ServiceName::Ingest => {
+            &[ServiceName::Embedder, ServiceName::Clusterer, ServiceName::Auditor]
+        }
+        ServiceName::Embedder => &[ServiceName::Clusterer, ServiceName::Auditor],
+        ServiceName::Clusterer => &[ServiceName::Auditor],
+        ServiceName::Auditor => &[ServiceName::Clusterer],
+        ServiceName::Historian | ServiceName::Planner => &[],
+    }
+}
 
 impl World {
     /// A fault happens.
@@ -231,6 +245,7 @@ impl World {
         }
         node.life += 1;
         node.step_at = None;
+        let service = node.service;
         if let Some(disk) = &node.disk {
             if self.mutator.loses_records() {
                 disk.lose_last();
@@ -246,6 +261,19 @@ impl World {
         let seen = self.now + chance.between(KILL_NOTICED.0, KILL_NOTICED.1);
         self.schedule(seen, Event::TokensGone { link, keys });
         self.schedule(restart, Event::Start { node: index });
+        self.note_lost_terms(service);
+    }
+
+    /// A process of a service was killed. Where no other one lives that answers what a leader has published, its term is
+    /// known to disks alone, and that of its own host may be down for longer than another instance.
+    fn note_lost_terms(&mut self, killed: ServiceName) {
+        for leader in ServiceName::PIPELINE {
+            let answers = |service| service == leader || answers_for(leader).contains(&service);
+            let lives = |node: &Node| node.process.is_some() && answers(node.service);
+            if answers(killed) && !self.nodes.iter().any(lives) {
+                self.oracle.order.disturbed(Some(leader), self.now);
+            }
+        }
     }
 
     /// A service that was killed begins without what it stored. By a clock that is right it begins above

@@ -71,6 +71,16 @@ impl Agreed {
         self.division.as_ref().is_some_and(|teams| teams.requested as usize > teams.teams.len())
     }
 
+    /// Whether a team that ended as its robots left is still awaited: it may be forgotten while another one is away, and the others
+    /// are divided by the evidence then.
+    fn awaits_team(&self) -> bool {
+        let Some(Teams { remembered, .. }) = self.division.as_deref() else { return false };
+        remembered.ended.iter().any(|(team, members)| {
+            let left = remembered.last.iter().filter(|(_, last)| last == team).count();
+            left * 2 > members.len()
+        })
+    }
+
     /// Whether robots stay in their teams only for as long as a team is absent, as the division says.
     pub(crate) fn holds_moves(&self) -> bool {
         self.division.as_ref().is_some_and(|teams| !teams.held.is_empty())
@@ -327,7 +337,10 @@ impl Oracle {
 
     /// Whether the loss of a team is to move no other robot: nothing is asked of teams, and no other one is absent.
     pub(crate) fn loss_moves_no_other(&self, agreed: &Agreed) -> bool {
-        self.limits.are_none() && !agreed.has_free_seats() && !agreed.holds_moves()
+        self.limits.are_none()
+            && !agreed.has_free_seats()
+            && !agreed.awaits_team()
+            && !agreed.holds_moves()
     }
 
     /// Whether the last division differs from the one that all had agreed on only in moves that waited for an absent team.
