@@ -526,11 +526,11 @@ impl Election {
     pub(crate) fn deadline(&self) -> Option<Tick> {
         let next_look = self.last_run.after(RENEWAL_INTERVAL);
         match &self.state {
-            State::Starting(_) => None,
+            // It runs as often as a leader renews, so that it notices its own pauses.
+            State::Starting(_) => Some(next_look),
             State::Suspect(suspicion) => suspicion.unopposed.then_some(self.silence_proves_from),
             State::Leading(_) if self.replication == Replication::EveryInstance => None,
             State::Leading(lease) => Some(lease.deadline()),
-            // It runs as often as a leader renews, so that it notices its own pauses.
             State::Standby(candidate) if self.linked => Some(candidate.take_over_at.min(next_look)),
             State::Standby(_) => Some(next_look),
         }
