@@ -66,7 +66,6 @@ impl<C: Core> Host<C> {
                 self.report_connectivity(Connectivity::Paused);
                 self.report_connectivity(Connectivity::Online);
             }
-            ReplicaState::Starting if is_linked && election.inquires_anew() => self.inquire(),
             ReplicaState::Starting | ReplicaState::Standby | ReplicaState::Leading => {}
         }
     }

@@ -275,12 +275,6 @@ impl Election {
             && !std::mem::replace(&mut candidate.asked_again, true)
     }
 
-    /// Whether an instance asks the bus from the beginning after its link was lost or it was paused: what it has asked before says
-    /// nothing of what others have published since.
-    pub(crate) fn inquires_anew(&self) -> bool {
-        matches!(&self.state, State::Starting(candidate) if !candidate.waited)
-    }
-
     /// Whether the answers of an inquiry are still wanted; they are taken once.
     pub(crate) fn inquiry_answered(&mut self) -> bool {
         self.candidate_mut().is_some_and(|candidate| std::mem::take(&mut candidate.asking))
@@ -357,6 +351,7 @@ impl Election {
                 self.become_standby();
                 Reconnection::Resume
             }
+            // What it has asked over the link that was lost says nothing of what others have published since.
             State::Starting(candidate) if !candidate.waited => Reconnection::Inquire,
             State::Leading(lease) => {
                 lease.check_soon(now);
@@ -526,11 +521,11 @@ impl Election {
     pub(crate) fn deadline(&self) -> Option<Tick> {
         let next_look = self.last_run.after(RENEWAL_INTERVAL);
         match &self.state {
-            // It runs as often as a leader renews, so that it notices its own pauses.
-            State::Starting(_) => Some(next_look),
+            State::Starting(_) => None,
             State::Suspect(suspicion) => suspicion.unopposed.then_some(self.silence_proves_from),
             State::Leading(_) if self.replication == Replication::EveryInstance => None,
             State::Leading(lease) => Some(lease.deadline()),
+            // It runs as often as a leader renews, so that it notices its own pauses.
             State::Standby(candidate) if self.linked => Some(candidate.take_over_at.min(next_look)),
             State::Standby(_) => Some(next_look),
         }

@@ -346,11 +346,6 @@ fn what_was_asked_over_a_link_that_was_lost_is_asked_again() {
     election.token(at(0.3), name("a"), false);
     election.link_lost();
     assert_eq!(election.link_restored(at(1.6)), Reconnection::Inquire);
-    // One that takes over is a standby again.
-    let mut election = standby_of("a");
-    assert_eq!(takes_over(&mut election, 1.0, 5.0).map(|_| ()), Some(()));
-    election.link_lost();
-    assert!(!election.inquires_anew());
 }
 
 #[test]
