@@ -29,7 +29,8 @@ use crate::memory::Memory;
 /// before the next such period, so that a fleet of which robots leave all the time is divided as well.
 const LOSS_TIME: Duration = Duration::from_secs(3);
 
-/// For how long after robots have left a move that begins is taken for a consequence: while all stay, and as long after.
+/// For how long after robots have left, or report again, a move that begins is taken for a consequence: while all stay, and a moment
+/// after.
 const LOSS_SHOWS_TIME: Duration = Duration::from_secs(6);
 
 /// For how long after robots came that no team knows the evidence decides whether they get a free seat: the robots of a team come
@@ -212,7 +213,7 @@ impl Arrivals {
     /// Until when moves that begin are taken for a consequence of losses, or of the return of robots; none if no robots have left.
     #[must_use]
     pub fn losses_show_until(&self) -> Option<Tick> {
-        let reporting = self.reporting.map(|since| since.after(2 * RETURN_TIME));
+        let reporting = self.reporting.map(|since| since.after(LOSS_SHOWS_TIME));
         self.ends_showing().max(reporting)
     }
 
