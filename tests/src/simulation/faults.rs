@@ -2,13 +2,17 @@
 
 use std::sync::Arc;
 
+use muster_auditor::Auditor;
+use muster_clusterer::Clusterer;
+use muster_embedder::Embedder;
+use muster_ingest::Ingest;
 use muster_model::header::Header;
 use muster_model::id::{RobotId, ServiceName};
 use muster_model::limits::MAX_REVISION;
 use muster_model::observation::{CheckedReport, Pose, Stream};
 use muster_model::term::highest_term;
-use muster_service::Stored;
-use muster_wire::{Format, Key, Message, Packet, Source};
+use muster_service::{Core, Stored};
+use muster_wire::{Format, Key, Message, Packet, Pattern, Source};
 
 use super::busy::Load;
 use super::chance::{Chance, Purpose};
@@ -34,17 +38,19 @@ pub(super) const RECOVERY_TIME: Micros = 3 * SECOND;
 /// Who asks for many proposals at once.
 const PROPOSERS: [&str; 3] = ["alice", "bob", "carol"];
 
-/// The other services that answer with the output of one.
-const fn answers_for(service: ServiceName) -> &'static [ServiceName] {
-    match service {
-        ServiceName::Ingest => {
-            &[ServiceName::Embedder, ServiceName::Clusterer, ServiceName::Auditor]
-        }
-        ServiceName::Embedder => &[ServiceName::Clusterer, ServiceName::Auditor],
-        ServiceName::Clusterer => &[ServiceName::Auditor],
-        ServiceName::Auditor => &[ServiceName::Clusterer],
-        ServiceName::Historian | ServiceName::Planner => &[],
-    }
+/// Whether a service answers with the output of another one, or with its own.
+fn answers_for(leader: ServiceName, service: ServiceName) -> bool {
+    let wired = |service| match service {
+        ServiceName::Ingest => Some((Ingest::output(), Ingest::wiring())),
+        ServiceName::Embedder => Some((Embedder::output(), Embedder::wiring())),
+        ServiceName::Clusterer => Some((Clusterer::output(), Clusterer::wiring())),
+        ServiceName::Auditor => Some((Auditor::output(), Auditor::wiring())),
+        ServiceName::Historian | ServiceName::Planner => None,
+    };
+    let (Some((output, _)), Some((_, wiring))) = (wired(leader), wired(service)) else {
+        return false;
+    };
+    wiring.served.iter().any(|served| served.pattern == Pattern::One(output.clone()))
 }
 
 impl World {
@@ -268,9 +274,8 @@ impl World {
     /// known to disks alone, and that of its own host may be down for longer than another instance.
     fn note_lost_terms(&mut self, killed: ServiceName) {
         for leader in ServiceName::PIPELINE {
-            let answers = |service| service == leader || answers_for(leader).contains(&service);
-            let lives = |node: &Node| node.process.is_some() && answers(node.service);
-            if answers(killed) && !self.nodes.iter().any(lives) {
+            let lives = |node: &Node| node.process.is_some() && answers_for(leader, node.service);
+            if answers_for(leader, killed) && !self.nodes.iter().any(lives) {
                 self.oracle.order.disturbed(Some(leader), self.now);
             }
         }

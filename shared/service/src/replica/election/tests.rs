@@ -31,6 +31,13 @@ fn renewal(host: &str, term: u64) -> LeaseRenewal {
     }
 }
 
+/// An instance on host `b` that knows of no other one and asks the bus.
+fn asking() -> Election {
+    let mut election = Election::new(name("b"), START, Replication::OneLeads);
+    election.inquire();
+    election
+}
+
 /// An instance on host `b` that knows of hosts `a` and `c`.
 fn between() -> Election {
     let mut election = Election::new(name("b"), START, Replication::OneLeads);
@@ -308,8 +315,7 @@ fn an_instance_asks_once_more_over_each_link_where_another_one_has_appeared() {
 
 #[test]
 fn an_instance_that_appeared_and_is_gone_again_is_not_asked() {
-    let mut election = Election::new(name("b"), START, Replication::OneLeads);
-    election.inquire();
+    let mut election = asking();
     // Its former process was killed a moment ago, and its lease on the bus ends now.
     election.token(at(0.1), name("a"), true);
     election.token(at(1.5), name("a"), false);
@@ -340,8 +346,7 @@ fn an_instance_that_has_answered_and_is_gone_is_asked_again_over_the_same_link()
 
 #[test]
 fn what_was_asked_over_a_link_that_was_lost_is_asked_again() {
-    let mut election = Election::new(name("b"), START, Replication::OneLeads);
-    election.inquire();
+    let mut election = asking();
     election.token(at(0.1), name("a"), true);
     election.token(at(0.3), name("a"), false);
     election.link_lost();
@@ -350,8 +355,7 @@ fn what_was_asked_over_a_link_that_was_lost_is_asked_again() {
 
 #[test]
 fn more_instances_than_are_noted_are_asked_again() {
-    let mut election = Election::new(name("b"), START, Replication::OneLeads);
-    election.inquire();
+    let mut election = asking();
     let crowd: Vec<_> = (0..=MAX_PEERS).map(|number| name(&format!("c{number}"))).collect();
     crowd.iter().for_each(|other| election.token(at(0.1), other.clone(), true));
     crowd.iter().for_each(|other| election.token(at(0.2), other.clone(), false));
